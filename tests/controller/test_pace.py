@@ -5,9 +5,10 @@ from typing import Any
 import pytest
 
 from handctl.errors import ConfigError
+from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 from handctl.programs.task import Task
-from handctl.programs.task_checks import check_speed, digits_of
+from handctl.programs.task_checks import check_speed
 
 ELEVEN = load_hand("jamia11")
 
@@ -40,12 +41,12 @@ FOLLOW = {"kind": "follow", "time_s": (0.0, 1.0), "angle_deg": {"index": (0.0, 6
 )  # fmt: skip
 def test_a_move_without_time_is_refused(phases: tuple[dict[str, Any], ...], line: str) -> None:
     with pytest.raises(ConfigError, match=line):
-        check_speed(task(*phases), digits_of(ELEVEN), "t")
+        check_speed(task(*phases), DigitModel.all_of(ELEVEN), "t")
 
 
 def test_the_time_that_is_named_is_enough() -> None:
     short_ways = ({"kind": "release"}, move(60.0, 0.05), CLOSE | {"angle_deg": 70.0}, move(65.0, 0.05))
-    check_speed(task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), digits_of(ELEVEN), "t")
+    check_speed(task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), DigitModel.all_of(ELEVEN), "t")
 
 
 def test_a_close_is_no_faster_either() -> None:

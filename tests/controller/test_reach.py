@@ -11,7 +11,7 @@ from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand, packaged_hands
 from handctl.programs.task import Task
-from handctl.programs.task_checks import check_joint_range, check_tip_force, digits_of
+from handctl.programs.task_checks import check_joint_range, check_tip_force
 
 JAMIA, ELEVEN = load_hand("jamia"), load_hand("jamia11")
 
@@ -32,20 +32,20 @@ def task(kind: str, angle: object, **more: object) -> Task:
 )
 def test_angle_beyond_the_joint_range_is_refused(hand, kind, angle, said):
     with pytest.raises(ConfigError) as told:
-        check_joint_range(task(kind, angle), hand, "t.toml", digits_of(hand))
+        check_joint_range(task(kind, angle), hand, "t.toml", DigitModel.all_of(hand))
     assert str(told.value) == f"t.toml: phase[0].angle_deg: {said}"
 
 
 def test_curve_point_beyond_the_joint_range_is_refused():
     curve = {"index": (0.0, 50.0, 100.1)}
     with pytest.raises(ConfigError, match=r"100\.1 deg for index"):
-        check_joint_range(task("follow", curve, time_s=(0.0, 1.0, 2.0)), JAMIA, "t.toml", digits_of(JAMIA))
+        check_joint_range(task("follow", curve, time_s=(0.0, 1.0, 2.0)), JAMIA, "t.toml", DigitModel.all_of(JAMIA))
 
 
 @pytest.mark.parametrize("angle", [0.0, 100.0, {"index": 50.0}, {"thumb": 100.0}])
 def test_the_ends_of_the_range_are_within_it(angle):
-    check_joint_range(task("move", angle), JAMIA, "t.toml", digits_of(JAMIA))
-    check_joint_range(task("close", angle), ELEVEN, "t.toml", digits_of(ELEVEN))
+    check_joint_range(task("move", angle), JAMIA, "t.toml", DigitModel.all_of(JAMIA))
+    check_joint_range(task("close", angle), ELEVEN, "t.toml", DigitModel.all_of(ELEVEN))
 
 
 def test_reach_is_that_of_the_mean_angle_where_one_tendon_moves_three_joints():

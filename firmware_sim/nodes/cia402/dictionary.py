@@ -1,6 +1,7 @@
 """The object dictionary of the simulated CiA 402 drive, as described by its EDS file."""
 
 import configparser
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,12 @@ LENGTH = 0x06070010
 """SDO abort code: the data type does not match. Source: CiA 301."""
 RANGE = 0x06090030
 """SDO abort code: the value is out of range. Source: CiA 301."""
+WRONG_STATE = 0x08000022
+"""SDO abort code: not possible in the present state of the device. Source: CiA 301."""
+UNKNOWN_COMMAND = 0x05040001
+"""SDO abort code: no such command. Source: CiA 301."""
+CLIENT_ABORTS = 0x80
+"""First byte of a request with which the client aborts a transfer. It has no reply."""
 
 COMMANDS = {
     (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60FF, 0),
@@ -46,6 +53,19 @@ class Abort(Exception):  # noqa: N818 - the standard's word
         """Make an abort with an SDO abort code."""
         super().__init__(f"{code:#010x}")
         self.code = code
+
+
+def sdo_reply(data: bytes, access: Callable[[bytes, Key], bytes]) -> bytes:
+    """Return the payload of the reply to a request to an SDO server.
+
+    Args:
+        data: payload of the request, 8 bytes.
+        access: executes a request for an object, and returns the payload of its reply or raises ``Abort``.
+    """
+    try:
+        return access(data, (int.from_bytes(data[1:3], "little"), data[3]))
+    except Abort as abort:
+        return b"\x80" + data[1:4] + abort.code.to_bytes(4, "little")
 
 
 class Dictionary:

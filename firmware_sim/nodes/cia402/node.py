@@ -29,7 +29,15 @@ Choices where the fact sheet leaves one:
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.cia402.dictionary import Abort, Dictionary, Key
+from firmware_sim.nodes.cia402.dictionary import (
+    CLIENT_ABORTS,
+    UNKNOWN_COMMAND,
+    WRONG_STATE,
+    Abort,
+    Dictionary,
+    Key,
+    sdo_reply,
+)
 from firmware_sim.nodes.cia402.kernels import (
     CST,
     OPERATIONAL,
@@ -60,8 +68,6 @@ STOPPED_WHILE_ENABLED = 0x8100
 """Emergency code: the node left operational while enabled."""
 RPDO_SHORT = 0x8210
 """Emergency code: an RPDO is too short."""
-WRONG_STATE = 0x08000022
-"""SDO abort code: not possible in the present state of the device. Source: CiA 301."""
 HOT_C = 120.0
 """Winding temperature at which the drive trips [degC]."""
 _UNITS = {"mN_m": 1e3, "uN_m": 1e6}
@@ -255,14 +261,8 @@ class Cia402Node:
         if len(data) != 8:
             self.malformed += 1
             return
-        if data[0] == 0x80:
-            return  # The client aborts the transfer.
-        key = (int.from_bytes(data[1:3], "little"), data[3])
-        try:
-            reply = self._access(data, key)
-        except Abort as abort:
-            reply = b"\x80" + data[1:4] + abort.code.to_bytes(4, "little")
-        self._unsolicited.append(Frame(0x580 + self.node_id, reply))
+        if data[0] != CLIENT_ABORTS:
+            self._unsolicited.append(Frame(0x580 + self.node_id, sdo_reply(data, self._access)))
 
     def _access(self, data: bytes, key: tuple[int, int]) -> bytes:
         """Execute an SDO request.
@@ -284,7 +284,7 @@ class Cia402Node:
             return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
         # Command 1 is a download request. Bit 1 is set for an expedited transfer.
         if specifier >> 5 != 1 or not specifier & 2:
-            raise Abort(0x05040001)
+            raise Abort(UNKNOWN_COMMAND)
         # Bit 0: the size is given. Bits 3..2: unused bytes. Without a given size the size of the
         # object counts.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
@@ -306,7 +306,7 @@ class Cia402Node:
             Abort: no upload is in progress.
         """
         if not self._segments:
-            raise Abort(0x05040001)
+            raise Abort(UNKNOWN_COMMAND)
         segment = self._segments.pop(0)
         # Bit 4: toggle. Bits 3..1: unused bytes. Bit 0: the last segment.
         head = toggle << 4 | (7 - len(segment)) << 1 | (not self._segments)

@@ -22,8 +22,8 @@ import numpy as np
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
 from firmware_sim.description import SensorSpec
-from firmware_sim.nodes.cia402.dictionary import Abort
-from firmware_sim.nodes.cia404.objects import OFF, TPDOS, WRONG_STATE, Objects
+from firmware_sim.nodes.cia402.dictionary import CLIENT_ABORTS, UNKNOWN_COMMAND, WRONG_STATE, Abort, sdo_reply
+from firmware_sim.nodes.cia404.objects import OFF, TPDOS, Objects
 from firmware_sim.nodes.noise import Noise
 
 OPERATIONAL = 0x05
@@ -34,8 +34,6 @@ PRE_OPERATIONAL = 0x7F
 """NMT state: pre-operational."""
 SYNCHRONOUS = 240
 """Highest transmission type that depends on SYNC."""
-UNKNOWN_COMMAND = 0x05040001
-"""SDO abort code: no such command. Source: CiA 301."""
 _NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
 
@@ -212,14 +210,8 @@ class AmplifierNode:
         if len(data) != 8:
             self.malformed += 1
             return
-        if data[0] == 0x80:
-            return  # The client aborts the transfer.
-        key = (int.from_bytes(data[1:3], "little"), data[3])
-        try:
-            reply = self._access(data, key)
-        except Abort as abort:
-            reply = b"\x80" + data[1:4] + abort.code.to_bytes(4, "little")
-        self._out.append(Frame(0x580 + self.node_id, reply))
+        if data[0] != CLIENT_ABORTS:
+            self._out.append(Frame(0x580 + self.node_id, sdo_reply(data, self._access)))
 
     def _access(self, data: bytes, key: tuple[int, int]) -> bytes:
         """Execute an SDO request.

@@ -18,7 +18,7 @@ Objects as delivered. n is the node number, c a channel from 1 on.
 import math
 import struct
 
-from firmware_sim.nodes.cia402.dictionary import LENGTH, NO_OBJECT, NO_SUB, RANGE, READ_ONLY, Abort, Key
+from firmware_sim.nodes.cia402.dictionary import LENGTH, NO_OBJECT, NO_SUB, RANGE, READ_ONLY, WRONG_STATE, Abort, Key
 
 OFF = 1 << 31
 """Bit of an identifier object: the PDO is off."""
@@ -28,8 +28,6 @@ AS_DELIVERED = 0x00FD_0000
 """Unit of the maker, before a host sets another one."""
 TPDOS = 4
 """Number of TPDOs."""
-WRONG_STATE = 0x08000022
-"""SDO abort code: not possible in the present state of the device. Source: CiA 301."""
 NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
 TOO_LONG = 0x06040042

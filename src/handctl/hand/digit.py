@@ -178,6 +178,11 @@ class DigitModel:
             has_varying_arm=bool(hand.has_varying_arm[tendons].any()),
         )
 
+    @staticmethod
+    def all_of(hand: Hand) -> "tuple[DigitModel, ...]":
+        """Build the models of all digits of a hand, in file order."""
+        return tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+
     @property
     def joint_limits(self) -> Array:
         """Return the smallest and the largest angle of each joint, (2, n) [rad]."""

@@ -44,7 +44,7 @@ class HandTree:
             hand: description.
             digits: models of its digits, in file order, made if absent.
         """
-        digits = tuple(digits) or tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+        digits = tuple(digits) or DigitModel.all_of(hand)
         parents = [
             np.where(digit.parent < 0, hand.base_joints[digit.name], digit.parent + digit.joints.start)
             for digit in digits

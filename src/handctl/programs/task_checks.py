@@ -31,11 +31,6 @@ Span = tuple[Vector, Vector]
 """Lowest and highest value of the coordinates of a digit [deg]."""
 
 
-def digits_of(hand: Hand) -> tuple[DigitModel, ...]:
-    """Return the models of all digits of a hand, in file order."""
-    return tuple(DigitModel.of(hand, name) for name in hand.digit_names)
-
-
 def check_suits(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel] = ()) -> None:
     """Raise an error for a task that does not suit the hand.
 
@@ -54,7 +49,7 @@ def check_suits(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel]
     )
     check_tip_force(task, hand, where)
     check_slip_limit(task, hand, where)
-    digits = digits or digits_of(hand)
+    digits = digits or DigitModel.all_of(hand)
     check_joint_range(task, hand, where, digits)
     check_speed(task, digits, where)
 

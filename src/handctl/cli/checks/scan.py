@@ -11,6 +11,7 @@ from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.registry import UNDISCOVERED
+from handctl.hand.file.sections import CIA404
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.scan import Scan, requests_without_answers, scan_bus
 from handctl.session.buses import named_buses
@@ -133,7 +134,7 @@ def _print_drive(drive: DiscoveredNode) -> None:
         ("ERROR", drive.error),
     )
     line_text = "  ".join(f"{key} {text}".strip() for key, text in fields if text)
-    number = f"{drive.node_id:#x}" if drive.protocol in ("sensor", "cia404") else str(drive.node_id)
+    number = f"{drive.node_id:#x}" if drive.protocol in ("sensor", CIA404) else str(drive.node_id)
     print(f"  {drive.protocol:<8}{number:>5}  {line_text}")
     for line in drive.notes:
         print(f"                {line}")

@@ -77,7 +77,6 @@ def run(args: argparse.Namespace) -> int:
         return report_dry_run(args, plan, line, digits=digits, seconds=total, commissioning=reason)
     log = args.log or default_log(plan.hand, "identify")
     about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
-    held = HoldLimit()
     if args.lockstep:
         calibration, outcome = _in_lockstep(args, plan, program, log, about)
     else:
@@ -85,8 +84,9 @@ def run(args: argparse.Namespace) -> int:
         print_note(about)
         calibration = calibration or ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, arm_at_once=True)
+        held = HoldLimit()
         outcome = run_live(plan, controller, log, observer=held)
-    held.refuse_stopped(f"identifying {plan.hand.name}, log {log}")
+        held.refuse_stopped(f"identifying {plan.hand.name}, log {log}")
     outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         results = identify_tendons(record, plan.hand, print_note)

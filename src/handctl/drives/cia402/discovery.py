@@ -14,6 +14,7 @@ from handctl.drives.discovery import (
     have_two_drives_answered,
 )
 from handctl.drives.frame import REMOTE, Frame
+from handctl.hand.file.sections import CIA404
 
 NODE_NUMBERS = range(1, MASTER)
 """Node numbers to try."""
@@ -26,8 +27,6 @@ CHANNELS = (0x6131, 0)
 """Object with the number of an amplifier's channels: the entries of the array of units. Source: CiA 404."""
 SERIAL = (0x1018, 4)
 """Object with the serial number, an optional object."""
-CIA404 = "cia404"
-"""Protocol of measuring amplifiers in the hand file."""
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 """NMT states in words."""
 _RPDOS = (0x200, 0x300, 0x400, 0x500)

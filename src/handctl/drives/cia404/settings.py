@@ -5,11 +5,10 @@ are read first, and written only if they differ. Source: docs/facts/cia404.md.
 """
 
 from handctl.drives.cia402 import codec
+from handctl.drives.cia402.discovery import AMPLIFIER_PROFILE
 from handctl.drives.cia402.settings import PDO_DISABLED_BIT, Check, Step, pdo_steps
 from handctl.drives.signals import Coding
 
-PROFILE = 404
-"""Profile number in the low word of the device type."""
 NEWTON = 0x0021_0000
 """Unit newton: prefix, numerator, denominator, reserved. Source: CiA 303-2, newton is 0x21."""
 HEARTBEAT_MS = 100
@@ -36,7 +35,7 @@ def required_steps(node_id: int, channels: int, process_value: str, digits: int)
     adjust = Check.ADJUST
     number, _ = PROCESS_VALUES[process_value]
     steps = [
-        Step(Check.LOW_WORD, 0x1000, 0, PROFILE, 4),
+        Step(Check.LOW_WORD, 0x1000, 0, AMPLIFIER_PROFILE, 4),
         Step(adjust, 0x1005, 0, codec.SYNC, 4),
         Step(adjust, 0x1017, 0, HEARTBEAT_MS, 2),
     ]
