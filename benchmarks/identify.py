@@ -24,7 +24,7 @@ from typing import Any
 
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.bounds import with_values
-from handctl.core.gains.gains import Gains
+from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.identified import DIGIT_KEYS
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
@@ -53,19 +53,10 @@ DETUNABLE = ("motion.position_error_m", "motion.speed_error_m_s", "motion.force_
              "tension.speed_error_m_s", "tension.force_N", "tension.integral_per_s")  # fmt: skip
 
 
-PAIR_GAINS = {"motion.force_N": 2.5}
-"""Gains with which spool pairs are moved, between the packaged gains and those of ``handctl tune design``.
-
-With the packaged 13 N the fingers of orca_like oscillate if a motor makes 20 % more torque than commanded. With the
-designed 0.58 N a digit with more friction than described stays behind its goal (N04).
-"""
-
-
 def gains_for(hand: Hand, digit: str, seed: int) -> Gains:
-    """Return the gains with which a digit is moved."""
-    if is_sprung(hand, digit):
-        return detuned(seed)
-    return with_values(Gains(), PAIR_GAINS, "pairs") if hand.is_pair.any() else Gains()
+    """Return the gains with which a digit is moved: detuned with springs, packaged without."""
+    packaged = packaged_gains(hand.name)
+    return detuned(packaged, seed) if is_sprung(hand, digit) else packaged
 
 
 def plant(seed: int, sprung: bool = True) -> dict[str, float]:
@@ -75,10 +66,9 @@ def plant(seed: int, sprung: bool = True) -> dict[str, float]:
     return factors if sprung else factors | {"moment_arm": chance.uniform(1.0 - ARMS_OFF, 1.0 + ARMS_OFF)}
 
 
-def detuned(seed: int) -> Gains:
+def detuned(packaged: Gains, seed: int) -> Gains:
     """Draw gains that are wrong by up to a factor of 3."""
     chance = random.Random(f"gains {seed}")
-    packaged = Gains()
     values = {}
     for key in DETUNABLE:
         section, _, name = key.partition(".")

@@ -67,7 +67,7 @@ def test_a_digit_that_touches_nothing_is_kept(tmp_path: Path, hand: str, seed: i
 
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     """The controller alone reports an obstacle, by the hand file's springs and with detuned gains."""
-    found, row = excited("jamia", "index", 8, plant(8), detuned(8), tmp_path)
+    found, row = excited("jamia", "index", 8, plant(8), detuned(Gains(), 8), tmp_path)
     assert "failure" not in row
     one = found["index_tendon"]
     assert (one.met, one.blocked) == ("", "")

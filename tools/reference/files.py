@@ -7,8 +7,8 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
-from handctl.core.gains.bounds import SECTIONS, bounds
-from handctl.core.gains.gains import Gains
+from handctl.core.gains.bounds import SECTIONS, SHARED_KEYS, TENDON_SECTION, bound_of, bounds
+from handctl.core.gains.gains import Gains, TendonForces
 from handctl.hand.description import Hand
 from handctl.programs.requests import CommandBase, Request
 from tools.reference.markdown import code, prose, table
@@ -115,7 +115,13 @@ def gains() -> str:
         live = "during a run" if keys[0].live else "before a run only"
         rows = ((code(b.key), f"{b.default:g}", str(b), prose(b.why)) for b in keys)
         parts += [f"## `[{section}]`", f"{prose(getattr(model, '__doc__', ''))}\n\nChanges: {live}."]
-        parts.append(table(("gain", "packaged", "bounds", "meaning"), rows))
+        parts.append(table(("gain", "default", "bounds", "meaning"), rows))
+    parts += [f"## `[[{TENDON_SECTION}]]`", f"{prose(TendonForces.__doc__)}\n\nChanges: during a run."]
+    forces = []
+    for field, shared in SHARED_KEYS.items():
+        if bound := bound_of(f"{TENDON_SECTION}.NAME.{field}"):
+            forces.append((code(bound.key), code(shared), str(bound), prose(bound.why)))
+    parts.append(table(("gain", "default", "bounds", "meaning"), forces))
     return "\n\n".join(parts)
 
 

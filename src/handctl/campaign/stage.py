@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar, cast
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.campaign.scenarios import ARMING, FREE, GRASP, MIT
 from handctl.controller.setup import make_controller
-from handctl.core.gains.gains import Gains
+from handctl.core.gains.gains import packaged_gains
 from handctl.core.types import Mode
 from handctl.drives.motor_description import PROTOCOLS
 from handctl.errors import ConfigError
@@ -90,7 +90,7 @@ def homed_run(
     phases = [dict(phase) for phase in cast(list[dict[str, Any]], task["phase"])]
     phases[0]["angle_deg"] = angles
     program = TaskProgram(Task.model_validate_json(json.dumps({**task, "phase": phases})))
-    controller = make_controller(hand, Gains(), rate_hz, program, None, arm_at_once=True)
+    controller = make_controller(hand, packaged_gains(hand.name), rate_hz, program, None, arm_at_once=True)
     with Simulator(hand, "cylinder", seed, perturb, homed=True).against(controller) as run:
         yield run
 

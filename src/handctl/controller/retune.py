@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 from handctl.controller.pending_gains import PendingGains
-from handctl.core.gains.bounds import values_by_key, with_values
+from handctl.core.gains.bounds import check_tendon_names, different_values, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import design_from_pieces, design_piece, design_piece_count
 from handctl.core.model import HandModel
@@ -54,6 +54,7 @@ class Designs:
     def advance(self, model: HandModel, pending: PendingGains) -> DesignProgress | None:
         """Design one more loop. Returns None when the design is complete."""
         try:
+            check_tendon_names(pending.gains, model.space.names)
             done = self._design_pieces(model, pending.gains, pending.step + 1)
         except ConfigError as error:
             return DesignProgress(None, (Event("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),))
@@ -104,7 +105,6 @@ def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains
 
 def gain_change_events(before: Gains, after: Gains) -> tuple[Event, ...]:
     """Return an event for each changed gain, then an event for the takeover."""
-    old = values_by_key(before)
-    new = values_by_key(after)
-    changed = tuple(Event("info", GAIN_EVENT, key, repr(value)) for key, value in new.items() if value != old[key])
+    different = different_values(before, after)
+    changed = tuple(Event("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items())
     return *changed, Event("info", "gains", "", f"taken over: {len(changed)} changed")

@@ -7,7 +7,7 @@ Source: MODEL of the one-tendon finger in reduced coordinates (Tsai, structure m
 work.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -21,9 +21,10 @@ from handctl.hand.tree import HandTree
 
 @dataclass(frozen=True, slots=True)
 class TendonSpace:
-    """Constants of the N tendons of a hand, each array of shape (N,), SI units along the tendon.
+    """Names and constants of the N tendons of a hand, each of shape (N,), SI units along the tendon.
 
     Attributes:
+        names: of the tendons.
         motor_mass: reflected rotor inertia J_m / r_a^2 [kg].
         motor_damping: b_m / r_a^2 [N s/m].
         coulomb: motor friction tau_c / r_a [N].
@@ -38,6 +39,7 @@ class TendonSpace:
         has_cell: 1 for a tendon with a load cell, 0 without.
     """
 
+    names: tuple[str, ...]
     motor_mass: Vector
     motor_damping: Vector
     coulomb: Vector
@@ -50,6 +52,10 @@ class TendonSpace:
     encoder_step: Vector
     tension_noise: Vector
     has_cell: Vector
+
+    def numbers_of(self, i: int) -> tuple[float, ...]:
+        """Return all constants of tendon i. Tendons with equal constants have equal filters and loops."""
+        return tuple(float(getattr(self, each.name)[i]) for each in fields(self) if each.name != "names")
 
 
 def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
@@ -67,6 +73,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     mass = HandTree.of(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
     load = np.concatenate([_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1)
     return TendonSpace(
+        names=hand.tendon_names,
         motor_mass=inertia / spool**2,
         motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons]) / spool**2,
         coulomb=np.array([motors[tendon.motor].coulomb_N_m for tendon in tendons]) / spool,

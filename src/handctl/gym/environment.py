@@ -21,7 +21,7 @@ from gymnasium.spaces import Box
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.streams import stream_status
 from handctl.controller.tick import Controller
-from handctl.core.gains.gains import Gains
+from handctl.core.gains.gains import packaged_gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut, Vector
 from handctl.errors import ConfigError
@@ -307,7 +307,7 @@ def _controller(path: str) -> Controller:
     """
     hand = load_hand(path)
     check_ready(hand, path)
-    model = HandModel.of(hand, Gains(), highest_rate_of_buses(bus_loads(hand)))
+    model = HandModel.of(hand, packaged_gains(hand.name), highest_rate_of_buses(bus_loads(hand)))
     return homed_controller(model, LiveProgram())
 
 

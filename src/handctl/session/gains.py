@@ -1,14 +1,14 @@
 """Gains of a run and their origins.
 
-The hand's gains file overrides packaged gains, and the command line overrides both.
+A gains file replaces the packaged gains of the hand. The command line overrides single values of either.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from handctl.core.gains.bounds import values_by_key, with_values
-from handctl.core.gains.gains import Gains, GainsFile, Provenance, load_gains_file
+from handctl.core.gains.bounds import tendon_key, values_by_key, with_values
+from handctl.core.gains.gains import Gains, GainsFile, Provenance, load_gains_file, packaged_gains
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.session.notices import NoticeCallback, ignore_notice
@@ -50,12 +50,12 @@ def layered_gains(
     """
     default = Path(f"{hand.name}.gains.toml")
     file = file or (default if default.exists() else None)
-    loaded = gains_for(hand, file, tell) if file else GainsFile()
-    base = loaded.gains
+    loaded = gains_for(hand, file, tell) if file else None
+    base = loaded.gains if loaded else packaged_gains(hand.name)
     values = assignments(words, "--gain")
     gains = with_values(base, values, "--gain") if values else base
     origins = {key: _origin_of(base, key, file) for key in values_by_key(base)} | dict.fromkeys(values, COMMAND_LINE)
-    return LayeredGains(gains, file, loaded.provenance, origins)
+    return LayeredGains(gains, file, loaded.provenance if loaded else Provenance(), origins)
 
 
 def gains_for(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
@@ -79,7 +79,9 @@ def gains_for(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> G
 def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
     """Return the origin of a gain before the command line is applied."""
     section, _, name = key.partition(".")
-    in_file = section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
+    in_file = tendon_key(key) is not None or (
+        section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
+    )
     return str(file) if file and in_file else PACKAGED
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from handctl.core.gains.gains import Gains, GainsFile, Provenance, gains_text, load_gains_file
+from handctl.core.gains.gains import Gains, GainsFile, Provenance, gains_text, load_gains_file, packaged_gains
 from handctl.errors import ConfigError
 from handctl.output import write_text_atomically
 
@@ -124,9 +124,10 @@ class GainsStore:
         if number and number not in entries:
             numbers = ", ".join(map(str, [0, *entries]))
             raise ConfigError(f"no gains number {number}", str(self.history), f"one of {numbers}")
-        old = entries[number].file if number else GainsFile()
         note = f"rollback to {number}" if number else "rollback to the packaged gains"
-        return self._write_gains(old.gains, old.provenance.model_copy(update={"note": note}), restores=number)
+        old = entries[number].file.gains if number else packaged_gains(self.hand)
+        provenance = entries[number].file.provenance if number else Provenance()
+        return self._write_gains(old, provenance.model_copy(update={"note": note}), restores=number)
 
     def _keep_edited(self) -> None:
         """Add present gains that are not in the history to the history."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import t as student
 
-from handctl.core.gains.bounds import LIVE_SECTIONS, values_by_key
+from handctl.core.gains.bounds import LIVE_SECTIONS, different_values, values_by_key
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
@@ -111,7 +111,7 @@ class VerifyObserver:
             self._round += 1
             # The gains change in `settle`, while the hand rests.
             if self._round == self.old_rounds + 1:
-                self._request_gains(self.new)
+                self._request_gains(self.new, self.old)
         self._phase = out.phase
         ringing = self._torque_rate(entry, out)
         if self._round <= self.old_rounds:
@@ -119,11 +119,13 @@ class VerifyObserver:
         elif self.returned is None and (reason := self._violated_limit(out, ringing)):
             amplitude = self.amplitudes[self._round - 1]
             self.returned = Rollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
-            self._request_gains(self.old)
+            self._request_gains(self.old, self.new)
 
-    def _request_gains(self, gains: Gains) -> None:
-        """Queue a request for the gains that a running controller accepts."""
-        values = {key: value for key, value in values_by_key(gains).items() if key.partition(".")[0] in LIVE_SECTIONS}
+    def _request_gains(self, gains: Gains, replaced: Gains) -> None:
+        """Queue a request for the gains that a running controller accepts, in place of others."""
+        # A running controller keeps the forces of single tendons that a request does not set.
+        all_values = values_by_key(gains) | {key: new for key, (_, new) in different_values(replaced, gains).items()}
+        values = {key: value for key, value in all_values.items() if key.partition(".")[0] in LIVE_SECTIONS}
         self._requests.append(json.dumps({"do": "gains", "set": values}))
 
     def _torque_rate(self, entry: TickIn, out: TickOut) -> float:

@@ -15,7 +15,6 @@ from handctl.campaign.stage import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
 from handctl.controller.bus_load import bus_loads
-from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.log.record import pack_tick_record
@@ -101,7 +100,7 @@ def failure_log_writer(folder: Path) -> Callable[[Simulation, ScenarioResult], N
     def write_log(simulation: Simulation, result: ScenarioResult) -> None:
         name = re.sub(r"[^A-Za-z0-9=.]+", "-", result.scenario)
         model = simulation.controller.model
-        plan = Plan(model.hand, Gains(), 1.0 / model.period, ())
+        plan = Plan(model.hand, model.gains, 1.0 / model.period, ())
         path = folder / f"{name}.mcap"
         path.unlink(missing_ok=True)
         recorder = Recorder.start(path, run_header(plan, simulation.controller, None, lockstep=True))

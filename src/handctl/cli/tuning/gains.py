@@ -9,8 +9,8 @@ from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import layered_gains, print_notice
 from handctl.cli.console.verbosity import is_quiet
-from handctl.core.gains.bounds import Bound, bounds, values_by_key, with_values
-from handctl.core.gains.gains import Gains, Provenance, load_gains_file
+from handctl.core.gains.bounds import Bound, checked_bound, different_values, values_by_key, with_values
+from handctl.core.gains.gains import Gains, Provenance, load_gains_file, packaged_gains
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
@@ -41,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
 def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     """Print every gain with its value, origin, meaning and bounds."""
     layers = layered_gains(args, hand)
-    gain_bounds = bounds()
+    values = values_by_key(layers.gains)
+    gain_bounds = {key: checked_bound(key, value, "gains") for key, value in values.items()}
     provenance = layers.provenance
     if args.json:
         rows = {
@@ -52,12 +53,12 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
                 "live": gain_bounds[key].live,
                 "meaning": gain_meaning(gain_bounds[key]),
             }
-            for key, value in values_by_key(layers.gains).items()
+            for key, value in values.items()
         }
         print_json({"hand": hand.name, "gains": rows, "provenance": provenance.model_dump()})
         return ExitCode.DONE
     print_escaped(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance))
-    for key, value in values_by_key(layers.gains).items():
+    for key, value in values.items():
         when = "changes at any time" if gain_bounds[key].live else "changes before arming"
         print_escaped(f"{key:<38} {value:<10g} {layers.origins[key]}")
         if not is_quiet():
@@ -87,14 +88,14 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     sides = {0: ["packaged", "present"], 1: ["present", *args.sides], 2: args.sides}.get(len(args.sides))
     if sides is None:
         raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
-    one, other = (values_by_key(_gains_side(word, hand)) for word in sides)
-    changed = {key: (one[key], other[key]) for key in one if one[key] != other[key]}
+    one, other = (_gains_side(word, hand) for word in sides)
+    changed = different_values(one, other)
     if args.json:
         print_json({"sides": sides, "changed": changed})
         return ExitCode.DONE
     for key, (was, now) in changed.items():
         print(f"{key:<38} {was:g} -> {now:g}")
-    print(f"{len(changed)} of {len(one)} gains differ between {sides[0]} and {sides[1]}")
+    print(f"{len(changed)} of {len(values_by_key(other))} gains differ between {sides[0]} and {sides[1]}")
     return ExitCode.DONE
 
 
@@ -106,10 +107,10 @@ def _gains_side(word: str, hand: Hand) -> Gains:
     """
     store = GainsStore(hand.name)
     if word == "packaged":
-        return Gains()
+        return packaged_gains(hand.name)
     if word == "present":
         present = store.present()
-        return present.gains if present else Gains()
+        return present.gains if present else packaged_gains(hand.name)
     if word.isdecimal():
         entries = {str(entry.number): entry.file.gains for entry in store.entries()}
         if word.lstrip("0") not in entries:
@@ -204,10 +205,9 @@ def _number_text(present: Any) -> int:
 
 def _entry_line(entry: StoredGains, entries: list[StoredGains]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
-    before = {one.number: one.file.gains for one in entries}.get(entry.file.provenance.replaces, Gains())
-    old = values_by_key(before)
-    new = values_by_key(entry.file.gains)
-    changed = [key for key in new if new[key] != old[key]]
+    by_number = {one.number: one.file.gains for one in entries}
+    before = by_number.get(entry.file.provenance.replaces, packaged_gains(entry.file.provenance.hand))
+    changed = list(different_values(before, entry.file.gains))
     few = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
     made_and_sources = _provenance_text(entry.file.provenance).partition(", made ")[2]
     return made_and_sources + (f"; changes {few}" if few else "; changes nothing")

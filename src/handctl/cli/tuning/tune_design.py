@@ -23,6 +23,8 @@ from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import control_rate
 
+TABLE_WIDTH = 100
+"""Width of the table of margins [columns], so that no number is cut."""
 MIN_POLE_HZ = 0.01
 MAX_DAMPING = 100.0
 
@@ -130,7 +132,7 @@ def _print_design(result: Any, rate: float, plants: int) -> None:
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
     table.add_section()
     table.add_row("worst", "", *_margin_cells(result.worst_before, result.worst_after))
-    rich_console(min_width=80).print(table)
+    rich_console(min_width=TABLE_WIDTH).print(table)
 
 
 def _margin_cells(before: Any, after: Any) -> list[str]:

@@ -1,19 +1,21 @@
 """Bounds of the gains as data: range, default and meaning of each key, and whether it may change during a run."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from annotated_types import Ge, Gt, Le
 
-from handctl.core.gains.gains import Gains
+from handctl.core.gains.gains import Gains, TendonForces
 from handctl.document import Document, validate_content
 from handctl.errors import ConfigError
 from handctl.printing import similar_name
 
 SECTIONS = ("filter", "motion", "tension", "contact")
-LIVE_SECTIONS = ("motion", "tension", "contact")
+TENDON_SECTION = "tendon"
+"""Section of the forces of single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
+LIVE_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
 """Sections accepted by a running controller. The design of the filter's gains takes too long within ticks."""
 
 
@@ -47,9 +49,36 @@ class Bound:
         return f"{'a whole number, ' if self.whole else ''}{lower}, at most {self.high:g}"
 
 
+class TendonKey(NamedTuple):
+    """Parts of the key of a single tendon's force.
+
+    Attributes:
+        tendon: name of the tendon.
+        field: name of the value in ``TendonForces``.
+        shared: key of the value for all tendons.
+    """
+
+    tendon: str
+    field: str
+    shared: str
+
+
+SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
+"""Field of ``TendonForces`` to the key of the value for all tendons."""
+
+
+def tendon_key(key: str) -> TendonKey | None:
+    """Return the parts of the key of a single tendon's force, or None for any other key."""
+    section, _, rest = key.partition(".")
+    tendon, _, field = rest.rpartition(".")
+    if section != TENDON_SECTION or not tendon or field not in SHARED_KEYS:
+        return None
+    return TendonKey(tendon, field, SHARED_KEYS[field])
+
+
 @cache
 def bounds() -> Mapping[str, Bound]:
-    """Return the bounds of all keys, in the order of the gains model, from which the numbers come."""
+    """Return the bounds of all keys for the whole hand, in the order of the gains model, which has the numbers."""
     result = {}
     for section in SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
@@ -78,9 +107,39 @@ def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
     return low, high, open_low
 
 
+def bound_of(key: str) -> Bound | None:
+    """Return the bounds of a key, of the whole hand or of a single tendon, or None for an unknown key."""
+    parts = tendon_key(key)
+    if parts is None:
+        return bounds().get(key)
+    why = TendonForces.model_fields[parts.field].description or ""
+    return replace(bounds()[parts.shared], key=key, why=why)
+
+
 def values_by_key(gains: Gains) -> dict[str, float]:
-    """Return the value of every key."""
-    return {key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2]) for key in bounds()}
+    """Return the value of every key, and of every force of a single tendon."""
+    values = {key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2]) for key in bounds()}
+    for one in gains.tendon:
+        forces = {field: getattr(one, field) for field in SHARED_KEYS}
+        values |= {f"{TENDON_SECTION}.{one.name}.{field}": force for field, force in forces.items() if force}
+    return values
+
+
+def different_values(before: Gains, after: Gains) -> dict[str, tuple[float, float]]:
+    """Return the values before and after of every key that differs.
+
+    A tendon without a force of its own has that of all tendons.
+    """
+    old = values_by_key(before)
+    new = values_by_key(after)
+    pairs = {key: (_value_of(old, key), _value_of(new, key)) for key in {**old, **new}}
+    return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
+
+
+def _value_of(values: Mapping[str, float], key: str) -> float:
+    """Return the value of a key, or of the key for all tendons."""
+    parts = tendon_key(key)
+    return values[parts.shared] if parts and key not in values else values[key]
 
 
 def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bool = False) -> Gains:
@@ -102,9 +161,39 @@ def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bo
         if live and not bound.live:
             right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
             raise ConfigError("is designed before arming and cannot change in a run", f"{source}: {key}", right)
+        if parts := tendon_key(key):
+            _set_tendon_force(content, parts, float(value))
+            continue
         section, _, name = key.partition(".")
         content[section][name] = int(value) if bound.whole else float(value)
     return validate_content(content, Gains, source)
+
+
+def _set_tendon_force(content: dict[str, Any], parts: TendonKey, force: float) -> None:
+    """Set the force of a single tendon in the content of gains [N]."""
+    entries = [dict(entry) for entry in content[TENDON_SECTION]]
+    entry = next((one for one in entries if one["name"] == parts.tendon), None)
+    if entry is None:
+        entries.append(entry := {"name": parts.tendon})
+    entry[parts.field] = force
+    content[TENDON_SECTION] = entries
+
+
+def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
+    """Check that each single tendon with forces belongs to the hand.
+
+    Args:
+        gains: to be used.
+        tendons: names of the hand's tendons.
+
+    Raises:
+        ConfigError: for a tendon that the hand does not have.
+    """
+    for one in gains.tendon:
+        if one.name not in tendons:
+            near = similar_name(one.name, tendons, cutoff=0.5)
+            right = f"{near}?" if near else f"one of {', '.join(tendons)}"
+            raise ConfigError(f"no tendon {one.name!r}", f"gains: {TENDON_SECTION}", right)
 
 
 def checked_bound(key: str, value: float, source: str) -> Bound:
@@ -113,7 +202,7 @@ def checked_bound(key: str, value: float, source: str) -> Bound:
     Raises:
         ConfigError: for an unknown key, or a value out of bounds.
     """
-    known = bounds().get(key)
+    known = bound_of(key)
     if known is None:
         near = similar_name(key, bounds(), cutoff=0.5)
         right = f"{near}?" if near else "one of those that handctl gains show lists"

@@ -16,7 +16,6 @@ from ``control``.
 """
 
 import math
-from dataclasses import fields
 
 import numpy as np
 from scipy.linalg import expm
@@ -85,7 +84,7 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
     made: dict[tuple[float, ...], tuple[Block, ...]] = {}
     found = []
     for i, joints in enumerate(joint_period.tolist()):
-        kind = (joints, *(float(getattr(space, each.name)[i]) for each in fields(space)))
+        kind = (joints, *space.numbers_of(i))
         if kind not in made:
             with solver_failures_as_errors("filter"):
                 certain = tuple(_design_block(space, i, (regime, False), gains, period, joints) for regime in Regime)

@@ -1,16 +1,20 @@
 """Gains as data: tunable values with units, bounds and the reason of each default.
 
 The defaults keep a gain margin of 6 dB and a phase margin of 45 degrees in both loops of the
-packaged hands, on the hand file's plant and on random plants around it, at 500 Hz (jamia) and at
-the 200 Hz of jamia11 on a single bus.
+Jamia hands, on the hand file's plant and on random plants around it, at 500 Hz (jamia) and at
+the 200 Hz of jamia11 on a single bus. Other packaged hands have a gains file in the folder
+``packaged`` where the defaults do not keep these margins.
 """
 
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from handctl.document import Document, load_document
 from handctl.hand.file.toml_text import toml_text
+
+PACKAGED_GAINS_FOLDER = Path(__file__).parent / "packaged"
+"""Folder with the gains of packaged hands for which the defaults do not fit."""
 
 
 class FilterGains(Document):
@@ -110,14 +114,44 @@ class ContactGains(Document):
     """Consecutive ticks above the threshold."""
 
 
+class TendonForces(Document):
+    """Forces of a single tendon, in place of those of all tendons.
+
+    Digits of different mass need them: a wrist that carries five fingers permits a thirtieth of the
+    force that a fingertip permits.
+    """
+
+    name: str
+    """Name of the tendon."""
+    motion_force_N: float | None = Field(None, gt=0, le=500)
+    """Force of this tendon in place of ``motion.force_N`` [N]."""
+    tension_force_N: float | None = Field(None, gt=0, le=500)
+    """Force of this tendon in place of ``tension.force_N`` [N]."""
+
+
 class Gains(Document):
-    """All gains of a controller. The defaults are those of the packaged hands."""
+    """All gains of a controller. The defaults are those of the Jamia hands."""
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     filter: FilterGains = FilterGains()
     motion: MotionGains = MotionGains()
     tension: TensionGains = TensionGains()
     contact: ContactGains = ContactGains()
+    tendon: tuple[TendonForces, ...] = ()
+
+    @model_validator(mode="after")
+    def _refuse_repeated_names(self) -> "Gains":
+        names = [one.name for one in self.tendon]
+        if repeated := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"tendon {repeated[0]!r} is there twice, expected one entry for each tendon")
+        return self
+
+    def forces_of(self, tendon: str) -> tuple[float, float]:
+        """Return the forces of a tendon in motion loop and tension loop [N]."""
+        one = next((one for one in self.tendon if one.name == tendon), TendonForces(name=tendon))
+        motion = self.motion.force_N if one.motion_force_N is None else one.motion_force_N
+        tension = self.tension.force_N if one.tension_force_N is None else one.tension_force_N
+        return motion, tension
 
 
 class Provenance(Document):
@@ -158,12 +192,22 @@ class GainsFile(Gains):
 
 
 def load_gains(path: Path | None) -> Gains:
-    """Return gains from a TOML file, or the packaged gains.
+    """Return gains from a TOML file, or the defaults.
 
     Raises:
         ConfigError: if the file cannot be read or a value is out of range.
     """
     return Gains() if path is None else load_gains_file(path).gains
+
+
+def packaged_gains(hand: str) -> Gains:
+    """Return the gains that come with a hand: those of its file in ``packaged``, or the defaults.
+
+    Args:
+        hand: name of the hand.
+    """
+    path = PACKAGED_GAINS_FOLDER / f"{hand}.toml"
+    return load_gains_file(path).gains if path.is_file() else Gains()
 
 
 def load_gains_file(path: Path) -> GainsFile:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from handctl.core.gains.bounds import check_tendon_names
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.riccati import solve_lqr
 from handctl.core.gains.solvable import finite_or_error, solver_failures_as_errors
@@ -58,8 +59,9 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
         period: control period [s].
 
     Raises:
-        ConfigError: if the weights lead to no gains.
+        ConfigError: if the weights lead to no gains, or are for a tendon that the hand does not have.
     """
+    check_tendon_names(gains, space.names)
     return design_from_pieces(
         space, [design_piece(space, gains, period, piece) for piece in range(design_piece_count(space))]
     )
@@ -79,7 +81,7 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) ->
     n = len(space.spool)
     if piece < n:
         with solver_failures_as_errors("motion"):
-            return _design_motion_loop(float((space.motor_mass + space.load_mass)[piece]), gains, period)
+            return _design_motion_loop(space, piece, gains, period)
     with solver_failures_as_errors("tension"):
         return _design_tension_loop(space, piece - n, gains, period)
 
@@ -113,12 +115,13 @@ def _sampled_lqr_gain(
     return np.asarray(K[0], dtype=np.float64)
 
 
-def _design_motion_loop(mass: float, gains: Gains, period: float) -> Vector:
+def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
     """Design the motion loop: motor and digit as a mass on a rigid tendon, force per [m, m/s]."""
     weights = gains.motion
+    mass = float(space.motor_mass[i] + space.load_mass[i])
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = largest_force_weight(weights.force_N, period)
+    force = largest_force_weight(gains.forces_of(space.names[i])[0], period)
     return _sampled_lqr_gain(A, B, [weights.position_error_m, weights.speed_error_m_s], force, period)
 
 
@@ -133,5 +136,5 @@ def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period: float
     b = space.motor_damping[i] + space.damping[i]
     A = np.array([[0.0, k], [-1.0 / mass, -b / mass]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = largest_force_weight(weights.force_N, period)
+    force = largest_force_weight(gains.forces_of(space.names[i])[1], period)
     return _sampled_lqr_gain(A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period)

@@ -2,7 +2,9 @@
 
 Authority is the parameter of LQR that this design varies: the force that has the same weight as the
 errors of Bryson's rule. More authority makes a loop faster and its margins smaller. Therefore
-authority is increased until a margin would become too small. Reported margins are confirmed by the
+authority is increased until a margin would become too small, for each tendon alone. The tendon with
+the least decides ``force_N``. Tendons that permit more than twice as much get a force of their own,
+so that a heavy digit, such as a wrist, does not make the light ones slow. Reported margins are confirmed by the
 closed loop's eigenvalues. Designed gains are confirmed by a function of the caller, such as a
 simulation.
 
@@ -17,7 +19,9 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Any
 
+from handctl.core.gains.bounds import TENDON_SECTION, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import design_motion, largest_force_weight
 from handctl.core.model import HandModel
@@ -48,8 +52,16 @@ STRIDE = math.log(1.7)
 """Step of the search, in the natural logarithm of the force."""
 STEPS = 5
 """Number of bisections of the last step, for an accuracy of two per cent."""
+FINE_STRIDE = math.log(1.03)
+"""Step down from the result of the search until the confirmed margins are kept."""
+FINE_STEPS = 6
+"""Largest number of these steps."""
 RETREATS = 3
 """Number of steps by which both forces are reduced if the margins are kept but the proof fails."""
+FORCE_RATIO = 2.0
+"""Ratio of a tendon's authority to that of all tendons above which the tendon gets a force of its own."""
+FORCE_DIGITS = 3
+"""Significant digits of a designed force, rounded down."""
 REJECTION = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
 """Fractions of disturbance rejection to try, largest first.
 
@@ -111,6 +123,7 @@ class Design:
                 **tension_table,
                 "force_N": defaults.tension.force_N,
             },
+            tendon=_scaled_tendon_forces(gains, motion, tension),
         )
 
 
@@ -134,18 +147,31 @@ def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float
     """
     w = 2.0 * math.pi * hz
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(model, w, damping)
+    shared = _without_tendon_forces(model.gains, kind)
     if kind == LoopKind.MOTION:
-        motion = model.gains.motion
+        motion = shared.motion
         force = largest_force_weight(motion.force_N, model.period)
         table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
-        return _checked_gains(model.gains, motion={**motion.model_dump(), **table})
-    tension = model.gains.tension
+        return _checked_gains(shared, motion={**motion.model_dump(), **table})
+    tension = shared.tension
     force = largest_force_weight(tension.force_N, model.period)
     table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
-    return _checked_gains(model.gains, tension={**tension.model_dump(), **table})
+    return _checked_gains(shared, tension={**tension.model_dump(), **table})
 
 
-def _checked_gains(gains: Gains, **sections: dict[str, float]) -> Gains:
+def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[dict[str, Any]]:
+    """Return the content of the forces of single tendons, multiplied by a factor for each loop."""
+    return [
+        {
+            "name": one.name,
+            "motion_force_N": one.motion_force_N and one.motion_force_N * motion,
+            "tension_force_N": one.tension_force_N and one.tension_force_N * tension,
+        }
+        for one in gains.tendon
+    ]
+
+
+def _checked_gains(gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]) -> Gains:
     """Return gains with some sections replaced, after a check of their bounds.
 
     Raises:
@@ -216,13 +242,16 @@ def weakest_plant(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
 
 
 def keeps_required_margins(
-    model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind
+    model: HandModel,
+    plants: tuple[PlantFactors, ...],
+    kinds: Iterable[LoopKind] = LoopKind,
+    tendons: Iterable[int] | None = None,
 ) -> bool:
-    """Return True if every loop keeps its margins on every plant.
+    """Return True if the loops of some or all tendons keep their margins on every plant.
 
     The check ends at the first failure.
     """
-    return all(margin.enough for margin in _each_margin(model, plants, kinds))
+    return all(margin.enough for margin in _each_margin(model, plants, kinds, tendons=tendons))
 
 
 def _each_margin(
@@ -230,10 +259,11 @@ def _each_margin(
     plants: tuple[PlantFactors, ...],
     kinds: Iterable[LoopKind],
     judge: Callable[[System], Margins] = margins_of_loop,
+    tendons: Iterable[int] | None = None,
 ) -> Iterator[Margins]:
-    """Yield the margins of each loop, different tendon, and plant."""
+    """Yield the margins of each loop, tendon, and plant. Without tendons, those of each kind of tendon."""
     for kind in kinds:
-        for i in unlike_tendons(model):
+        for i in unlike_tendons(model) if tendons is None else tendons:
             loop_controller = controller_system(model, i, kind)
             yield from (
                 judge(join_to_open_loop(plant_system(model, i, kind, factors), loop_controller)) for factors in plants
@@ -242,18 +272,18 @@ def _each_margin(
 
 def unlike_tendons(model: HandModel) -> tuple[int, ...]:
     """Return the index of one tendon of each kind, so that equal tendons are checked only once."""
+    return tuple(group[0] for group in _equal_tendons(model))
+
+
+def _equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
+    """Return groups of tendons with equal constants and equal forces, up to rounding."""
     space = model.space
-    seen = dict[tuple[str, ...], int]()
-    for i in range(model.tendon_count):
-        numbers = (
-            space.motor_mass,
-            space.stiffness,
-            space.load_mass,
-            space.load_stiffness,
-            space.spool,
-        )
-        seen.setdefault(tuple(f"{values[i]:.6g}" for values in numbers), i)
-    return tuple(seen.values())
+    groups: dict[tuple[str, ...], tuple[int, ...]] = {}
+    for i, name in enumerate(space.names):
+        numbers = (*space.numbers_of(i), *model.gains.forces_of(name))
+        key = tuple(f"{number:.6g}" for number in numbers)
+        groups[key] = (*groups.get(key, ()), i)
+    return tuple(groups.values())
 
 
 def design_gains(
@@ -277,8 +307,8 @@ def design_gains(
     for rejection in REJECTION:
         if rejection > model.gains.motion.disturbance_rejection:
             continue
-        candidate = _most_authority(_with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants)
-        candidate = candidate and _most_authority(candidate, LoopKind.TENSION, plants)
+        candidate = _with_most_authority(_with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants)
+        candidate = candidate and _with_most_authority(candidate, LoopKind.TENSION, plants)
         if not candidate:
             continue
         for tried in _with_less_and_less_authority(candidate, plants):
@@ -304,11 +334,20 @@ def _with_less_and_less_authority(model: HandModel, plants: tuple[PlantFactors, 
     """Yield the gains, then gains with decreasing authority that keep the margins."""
     yield model
     for step in range(1, RETREATS + 1):
-        force = math.exp(-step * STRIDE)
-        less = _with_force(model, LoopKind.MOTION, model.gains.motion.force_N * force)
-        less = _with_force(less, LoopKind.TENSION, model.gains.tension.force_N * force)
+        less = _with_scaled_forces(model, math.exp(-step * STRIDE))
         if keeps_required_margins(less, plants):
             yield less
+
+
+def _with_scaled_forces(model: HandModel, factor: float) -> HandModel:
+    """Return the model with the authority of all loops multiplied by a factor."""
+    gains = _checked_gains(
+        model.gains,
+        motion={**model.gains.motion.model_dump(), "force_N": model.gains.motion.force_N * factor},
+        tension={**model.gains.tension.model_dump(), "force_N": model.gains.tension.force_N * factor},
+        tendon=_scaled_tendon_forces(model.gains, factor, factor),
+    )
+    return model_with_gains(model, gains)
 
 
 def _with_motion(model: HandModel, **values: float) -> HandModel:
@@ -317,49 +356,83 @@ def _with_motion(model: HandModel, **values: float) -> HandModel:
     return model_with_gains(model, gains)
 
 
-def _most_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
-    """Return the model with the largest authority of a loop that keeps the margins, else None.
+def _with_most_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
+    """Return the model with the largest authority of each loop that keeps the margins, else None."""
+    model = model_with_gains(model, _without_tendon_forces(model.gains, kind))
+    forces: dict[int, float] = {}
+    for group in _equal_tendons(model):
+        force = _largest_force(model, kind, group[0], plants)
+        if force is None:
+            return None
+        forces |= dict.fromkeys(group, force)
+    shared = min(forces.values())
+    with_shared = _with_force(model, kind, shared)
+    own = {model.space.names[i]: force for i, force in forces.items() if force > FORCE_RATIO * shared}
+    return _with_tendon_forces(with_shared, kind, own) if own else with_shared
+
+
+def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]) -> float | None:
+    """Return the largest authority of a tendon's loop that keeps the margins [N], else None.
 
     The search starts at the smallest force. This force may violate the margins, because an
     integrator alone makes a tendon oscillate. From the first force that keeps the margins, the
     force is increased until a margin is violated, and the last step is bisected. Larger forces are
     not tried.
     """
+
+    def keeps(log_force: float) -> bool:
+        return keeps_required_margins(_with_force(model, kind, _rounded_force(log_force)), plants, (kind,), (tendon,))
+
     best = None
-    low = math.log(MIN_FORCE_N)
-    high = math.log(MAX_FORCE_N)
-    while low < high:
-        tried = _with_force(model, kind, math.exp(low))
-        if keeps_required_margins(tried, plants, (kind,)):
-            best = tried
+    at = math.log(MIN_FORCE_N)
+    while at < math.log(MAX_FORCE_N):
+        if keeps(at):
+            best = at
         elif best is not None:
-            return _bisect_force(model, kind, plants, low - STRIDE, low, best)
-        low += STRIDE
-    return best
-
-
-def _bisect_force(
-    model: HandModel,
-    kind: LoopKind,
-    plants: tuple[PlantFactors, ...],
-    low: float,
-    high: float,
-    best: HandModel,
-) -> HandModel:
-    """Return the model with the largest force between `low` and `high` that keeps the margins."""
+            break
+        at += STRIDE
+    if best is None:
+        return None
+    high = min(at, math.log(MAX_FORCE_N))
     for _ in range(STEPS):
-        middle = (low + high) / 2.0
-        tried = _with_force(model, kind, math.exp(middle))
-        if keeps_required_margins(tried, plants, (kind,)):
-            low = middle
-            best = tried
+        middle = (best + high) / 2.0
+        if keeps(middle):
+            best = middle
         else:
             high = middle
-    return best
+    # Eigenvalues and a fine response may find less than the coarse response of the search.
+    for _ in range(FINE_STEPS):
+        tried = _with_force(model, kind, _rounded_force(best))
+        if all(margin.enough for margin in _each_margin(tried, plants, (kind,), confirmed_margins, (tendon,))):
+            break
+        best -= FINE_STRIDE
+    return _rounded_force(best)
+
+
+def _rounded_force(log_force: float) -> float:
+    """Return a force of the search [N] from its natural logarithm, rounded down to a few digits."""
+    force = math.exp(log_force)
+    unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_DIGITS + 1)
+    # The small term takes up the rounding of the quotient.
+    return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_DIGITS}g}")
+
+
+def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
+    """Return gains without the forces of single tendons in a loop."""
+    removed = f"{kind}_force_N"
+    entries = [one.model_copy(update={removed: None}) for one in gains.tendon]
+    kept = [one.model_dump() for one in entries if one.motion_force_N or one.tension_force_N]
+    return _checked_gains(gains, tendon=kept)
+
+
+def _with_tendon_forces(model: HandModel, kind: LoopKind, forces: Mapping[str, float]) -> HandModel:
+    """Return the model with the forces of some tendons in a loop [N], by name."""
+    values = {f"{TENDON_SECTION}.{name}.{kind}_force_N": force for name, force in forces.items()}
+    return model_with_gains(model, with_values(model.gains, values, "design"))
 
 
 def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
-    """Return the model with another authority for a loop."""
+    """Return the model with another authority for a loop of all tendons."""
     if kind == LoopKind.MOTION:
         return _with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}

@@ -196,8 +196,8 @@ class Proof:
     Links of a digit that presses on an object may chatter, even with constant motor torque. Such an
     oscillation is a property of the plant. The oscillation is measured on the same plant without
     feedback, and subtracted for each tendon. If the linear loop oscillates at the tension, no
-    oscillation is subtracted. All tendons have the same gains, so an oscillating loop is also
-    visible on tendons without chatter, and in its eigenvalues.
+    oscillation is subtracted. An oscillating loop is visible in its eigenvalues, which are computed
+    for each kind of tendon.
 
     Attributes:
         hand: hand of the plants.
