@@ -4,6 +4,7 @@ import importlib.util
 import math
 import re
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,25 @@ class Digit:
     def joints(self) -> list[str]:
         """Return the names of the joints, from the palm outwards."""
         return [f"{self.name}_j{i + 1}" for i in range(len(self.length))]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMesh:
+    """A mesh that pictures show as a link or as the palm.
+
+    Attributes:
+        link: name of the link, ``palm`` for the palm.
+        file: path of the file.
+        scale: factors from the file's unit to metres, for x, y, z.
+        position: position of the mesh in the link's frame [m].
+        rpy_deg: extrinsic roll, pitch, yaw of the mesh [deg].
+    """
+
+    link: str
+    file: str
+    scale: tuple[float, ...]
+    position: tuple[float, ...]
+    rpy_deg: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +273,8 @@ class Hand:
         tendons: tendons, the first one of each spool pair.
         motors: motors.
         sensors: sensor node, None without.
+        meshes: meshes of links and palm, for pictures. The plant has none of them, and hands that
+            differ only in the place of their meshes are equal.
     """
 
     name: str
@@ -263,6 +285,7 @@ class Hand:
     tendons: list[TendonSpec]
     motors: list[MotorSpec]
     sensors: SensorSpec | None
+    meshes: tuple[LinkMesh, ...] = field(default=(), compare=False)
 
     def carried_by(self, carrier: str) -> list[Digit]:
         """Return the digits on the last link of another digit, or on the palm for an empty name."""
@@ -317,7 +340,7 @@ def load_hand(name_or_path: str) -> Hand:
     """
     path = find_hand(name_or_path)
     try:
-        return _hand(_resolved(tomllib.loads(path.read_text("utf-8"))))
+        return _hand(_resolved(tomllib.loads(path.read_text("utf-8"))), path.parent)
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # The file has an endless number, or is not UTF-8.
@@ -344,7 +367,11 @@ def _resolved(raw: dict[str, Any]) -> dict[str, Any]:
             arms = tendon["moment_arm_m"].items()
             tendon["moment_arm_m"] = {f"{name}_{j}" if re.fullmatch("j[0-9]+", j) else j: arm for j, arm in arms}
             sections["tendon"].append(tendon)
-        listed = {key: [digit[key]] * links for key in PER_LINK if isinstance(digit.get(key), int | float)}
+        listed = {
+            key: [digit[key]] * links
+            for key in (*PER_LINK, "link_mesh_scale")
+            if isinstance(digit.get(key), int | float)
+        }
         sections["digit"].append(digit | listed)
     for kind in ("tendon", "motor"):
         sections[kind] += [_with_template(raw, kind, entry) for entry in raw.get(kind, [])]
@@ -371,7 +398,7 @@ def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     return below | above | tables
 
 
-def _hand(raw: dict[str, Any]) -> Hand:
+def _hand(raw: dict[str, Any], folder: Path) -> Hand:
     sensors = raw.get("sensor_node")
     return Hand(
         name=raw["name"],
@@ -382,6 +409,29 @@ def _hand(raw: dict[str, Any]) -> Hand:
         tendons=[_tendon(tendon, _joint_ranges(raw)) for tendon in raw["tendon"]],
         motors=[_motor(motor) for motor in raw["motor"]],
         sensors=_sensors(sensors) if sensors and (sensors["tendons"] or sensors.get("joints")) else None,
+        meshes=tuple(_meshes(raw, folder)),
+    )
+
+
+def _meshes(raw: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
+    """Yield the meshes of a hand, with paths relative to the folder of its file."""
+    mount = raw["mount"]
+    pose_keys = ("scale", "position_m", "rpy_deg")
+    if mount.get("palm_mesh"):
+        yield _mesh("palm", folder / mount["palm_mesh"], *(mount.get(f"palm_mesh_{key}") for key in pose_keys))
+    for digit in raw["digit"]:
+        count = len(digit["link_length_m"])
+        poses = [digit.get(f"link_mesh_{key}") or [None] * count for key in pose_keys]
+        for i, file in enumerate(digit.get("link_mesh") or ()):
+            if file:
+                yield _mesh(f"{digit['name']}_link{i + 1}", folder / file, *(values[i] for values in poses))
+
+
+def _mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
+    """Return a mesh. None stands for no scaling, no shift or no turn."""
+    factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
+    return LinkMesh(
+        link, str(file.absolute()), tuple(factors), tuple(position or [0.0] * 3), tuple(rpy_deg or [0.0] * 3)
     )
 
 
@@ -467,9 +517,7 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
 def _tendon(raw: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
     given = raw["moment_arm_m"]
     curves = {
-        joint: _curve(arm, ranges.get(joint, (0.0, 1.0)))
-        for joint, arm in given.items()
-        if isinstance(arm, dict)
+        joint: _curve(arm, ranges.get(joint, (0.0, 1.0))) for joint, arm in given.items() if isinstance(arm, dict)
     }
     return TendonSpec(
         name=raw["name"],

@@ -3,10 +3,11 @@
 import math
 from collections.abc import Sequence
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from firmware_sim.description import Digit, Hand, TendonSpec
+from firmware_sim.description import Digit, Hand, LinkMesh, TendonSpec
 from firmware_sim.scene.scene import GraspObject, Scene, Support
 
 STEP_S = 0.5e-3
@@ -32,6 +33,10 @@ SAMPLES = 9
 """Points along a link that are compared with the palm."""
 TABLE_HALF = (0.12, 0.12, 0.005)
 """Half extents of the table [m]."""
+VISUAL_GROUP = 2
+"""Group of meshes. Viewers show the groups 0 to 2."""
+HIDDEN_GROUP = 3
+"""Group of the shapes of links with a mesh."""
 CONTACTS = 16
 """Contacts of one digit with the object that are measured, at most two for each link."""
 
@@ -48,14 +53,21 @@ _OPTIONS = f"""
 """Engine options and defaults. Source of the settings: see ``model_text``."""
 
 
-def model_text(hand: Hand, scene: Scene) -> str:
+def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     """Build the model as MJCF.
 
     Joints have the hand's order: the first entries of qpos and qvel are the joints, the object's
     free joint follows. Contact is softer than in MODEL, section 6. With solref 0.002 the
     penetration of a grasp is less than the error of the collision detector, and contacts vanish for
     single steps. Source of the other settings: MODEL, section 6.
+
+    Args:
+        hand: the hand.
+        scene: object and support.
+        meshes: True for a model to draw: links with a mesh show it, and their capsules are in the
+            hidden group. The meshes have neither mass nor contacts. The plant has none.
     """
+    shown = {mesh.link: mesh for mesh in hand.meshes} if meshes else {}
     friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
     options = _OPTIONS.format(gravity=_text(hand.gravity), friction=friction)
     opposed = dict(zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True))
@@ -66,8 +78,9 @@ def model_text(hand: Hand, scene: Scene) -> str:
     sensors = "".join(_contact(hand, digit) for digit in hand.digits)
     if scene.load:
         sensors += "".join(_normal(hand, digit) for digit in hand.digits)
+    head = f'<mujoco model="{hand.name}">{options}{_mesh_assets(shown)}'
     return (
-        f'<mujoco model="{hand.name}">{options}<worldbody>\n{_palm(hand, "", opposed)}\n{scene_bodies}</worldbody>\n'
+        f"{head}<worldbody>\n{_palm(hand, '', opposed, shown)}\n{scene_bodies}</worldbody>\n"
         f"<tendon>{tendons}</tendon>\n<sensor>{sensors}</sensor>\n</mujoco>"
     )
 
@@ -135,16 +148,50 @@ def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
     return centre, np.array([PALM_DEPTH / 2.0, side, side])
 
 
-def _palm(hand: Hand, carrier: str, opposed: dict[str, bool]) -> str:
+def _mesh_assets(shown: dict[str, LinkMesh]) -> str:
+    """Build the assets of the meshes, empty without meshes."""
+    if not shown:
+        return ""
+    # The inertia of a shell is defined for open surfaces, too. It has no effect.
+    meshes = "".join(
+        f'<mesh name="{link}" file={quoteattr(mesh.file)} scale="{_text(mesh.scale)}" inertia="shell"/>'
+        for link, mesh in shown.items()
+    )
+    return f"<asset>{meshes}</asset>"
+
+
+def _mesh_geom(mesh: LinkMesh | None) -> str:
+    """Build the shape of a mesh without mass and contacts, empty without mesh."""
+    if mesh is None:
+        return ""
+    return (
+        f'<geom name="{mesh.link}_mesh" type="mesh" mesh="{mesh.link}" contype="0" conaffinity="0" mass="0"'
+        f' group="{VISUAL_GROUP}" pos="{_text(mesh.position)}" euler="{_text(mesh.rpy_deg)}"/>'
+    )
+
+
+def _palm(hand: Hand, carrier: str, opposed: dict[str, bool], shown: dict[str, LinkMesh]) -> str:
     """Build the palm, or the box on the last link of a digit, with the digits on it."""
     centre, half = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"
+    link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
     box = (
         f'<geom name="{name}" type="box" size="{_text(half.tolist())}" pos="{_text(centre.tolist())}"'
-        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"/>'
+        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"{_hidden_if(link in shown)}/>'
     )
-    digits = "\n".join(_digit(hand, digit, opposed) for digit in hand.carried_by(carrier))
-    return f"{box}\n{digits}\n"
+    mesh = "" if carrier else _mesh_geom(shown.get("palm"))
+    digits = "\n".join(_digit(hand, digit, opposed, shown) for digit in hand.carried_by(carrier))
+    return f"{box}{mesh}\n{digits}\n"
+
+
+def _last_link(hand: Hand, name: str) -> int:
+    """Return the number of links of a digit."""
+    return next(len(digit.length) for digit in hand.digits if digit.name == name)
+
+
+def _hidden_if(has_mesh: bool) -> str:
+    """Return the attribute of a shape that a mesh replaces in pictures, empty without mesh."""
+    return f' group="{HIDDEN_GROUP}"' if has_mesh else ""
 
 
 def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
@@ -168,7 +215,7 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
     return overlaps
 
 
-def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool]) -> str:
+def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool], shown: dict[str, LinkMesh]) -> str:
     """Build the nested bodies of a digit. Each link lies along its x axis with the hinge at its origin."""
     opening = f'<frame pos="{_text(digit.position)}" euler="{_text(digit.rpy_deg)}">'
     closing = "</frame>"
@@ -181,9 +228,10 @@ def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool]) -> str:
         bits = _carrier_bits() if carries else _digit_bits(opposed[digit.name], near_palm[i])
         # The link that carries the box ends at the face of the box.
         length = max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
-        opening += _joint(digit, i) + _body(digit, i, length, bits) + "\n"
+        mesh = shown.get(f"{digit.name}_link{i + 1}")
+        opening += _joint(digit, i) + _body(digit, i, length, bits, mesh is not None) + _mesh_geom(mesh) + "\n"
         closing = "</body>" + closing
-    return opening + (_palm(hand, digit.name, opposed) if carries else "") + closing
+    return opening + (_palm(hand, digit.name, opposed, shown) if carries else "") + closing
 
 
 def _digit_bits(opposed: bool, near_palm: bool) -> tuple[int, int]:
@@ -209,14 +257,14 @@ def _joint(digit: Digit, i: int) -> str:
     )
 
 
-def _body(digit: Digit, i: int, length: float, bits: tuple[int, int]) -> str:
+def _body(digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: bool) -> str:
     """Build inertia and collision geometry of link i: a capsule of a length [m], or a ball without length."""
     moments = digit.inertia[i]
     inertia = f'fullinertia="{_text(moments)}"' if any(moments[3:]) else f'diaginertia="{_text(moments[:3])}"'
     shape = f'type="capsule" fromto="0 0 0 {length} 0 0"' if length else 'type="sphere"'
     return (
         f'<inertial pos="{_text(digit.com[i])}" mass="{digit.mass[i]}" {inertia}/>'
-        f'<geom {shape} size="{digit.radius}" contype="{bits[0]}" conaffinity="{bits[1]}"/>'
+        f'<geom {shape} size="{digit.radius}" contype="{bits[0]}" conaffinity="{bits[1]}"{_hidden_if(has_mesh)}/>'
     )
 
 

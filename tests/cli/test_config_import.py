@@ -13,7 +13,15 @@ from handctl.cli.main import main
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
-from handctl.hand.load import hand_content, hand_from_content, inspect_content, load_hand, packaged_hands
+from handctl.hand.load import (
+    hand_content,
+    hand_from_content,
+    hand_path,
+    inspect_content,
+    load_hand,
+    packaged_hands,
+)
+from handctl.hand.meshes import with_meshes_from
 from handctl.hand.tree import HandTree
 from tests.cli.refused import refused, refused_lines
 from tests.conftest import NIGHTLY
@@ -70,7 +78,7 @@ def completed(form: str, name: str) -> Hand:
     exported.unlink(missing_ok=True)
     assert main(["config", "export", form, "--hand", name, "--output", str(exported)]) == 0
     imported(form, exported)
-    original = load_hand(name).content
+    original = with_meshes_from(load_hand(name).content, hand_path(name).parent)
     digits = []
     for digit, known in zip(hand_content("mine.toml")["digit"], original["digit"], strict=True):
         lacks = {key for key, value in digit.items() if value == "TODO"}

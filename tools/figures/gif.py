@@ -67,7 +67,9 @@ def frames(folder: Path) -> list[Any]:
 
     log, truth, _ = runs.grasp(folder)
     hand, scene = load_hand("jamia"), load_scene("cylinder")
-    model = mujoco.MjModel.from_xml_string(model_text(hand, scene).replace("<worldbody>", SKY + "<worldbody>"))
+    model = mujoco.MjModel.from_xml_string(
+        model_text(hand, scene, meshes=True).replace("<worldbody>", SKY + "<worldbody>")
+    )
     paint(mujoco, model)
     model.vis.headlight.ambient[:] = 0.45
     model.vis.headlight.diffuse[:] = 0.55

@@ -26,7 +26,11 @@ from handctl.hand.file.sections import (
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.moment_arms import is_varying, mean_arm, polynomial_of
 
-LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on")
+MESH_KEYS = ("link_mesh", "link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
+"""Keys of a digit about the meshes of its links. They have no effect on ``identity``."""
+PALM_MESH_KEYS = ("palm_mesh", "palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
+"""The same, of the section ``mount``."""
+LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on", *MESH_KEYS)
 """Keys of a digit that came later. ``content`` has them only where the file has them."""
 LATER_TENDON_KEYS = ("pretension_N",)
 """The same, of a tendon."""
@@ -208,6 +212,7 @@ class Hand(Section):
                 for key in keys:
                     if section[key] is None:  # hands without the key keep their identity
                         del section[key]
+        content["mount"] = {key: value for key, value in content["mount"].items() if value is not None}
         # A sensor node has only the keys of its protocol, so that hands from before the protocols keep their identity.
         for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):
             del content["sensor_node"][key]
@@ -222,12 +227,19 @@ class Hand(Section):
         """Return SHA-256 of the resolved content in hexadecimal.
 
         Comments, spelling of numbers, and order of keys in the file have no effect. Neither have the limits of
-        streams: no calibration and no gains depend on them.
+        streams, and the meshes: no calibration and no gains depend on them.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
+        content["digit"] = [_without(digit, MESH_KEYS) for digit in content["digit"]]
+        content["mount"] = _without(content["mount"], PALM_MESH_KEYS)
         # Sorted keys and fixed separators: equal content gives equal bytes.
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _without(table: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
+    """Return a table without some keys."""
+    return {key: value for key, value in table.items() if key not in keys}
 
 
 def _slices(counts: list[int]) -> list[slice]:

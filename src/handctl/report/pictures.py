@@ -1,6 +1,7 @@
 """Small pictures of a run as SVG text: poses, lateness of the ticks, bus load."""
 
 import io
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.kinematics import link_rotations
 from handctl.hand.tree import HandTree
+from handctl.log.attached_meshes import attached_meshes
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import COLOURS, PASSIVE_PHASES, digit_colours
 
@@ -26,6 +28,11 @@ SLANT = (0.55, 0.3)
 
 This projection separates digits on the same hinge line.
 """
+PALM_COLOUR = "#e3e6ea"
+LIGHT = np.array([0.4, 0.5, -0.77])
+"""Direction to the light on meshes, of length 1, in the palm frame."""
+MESH_DPI = 160
+"""Resolution of the meshes in a picture [dots per inch]."""
 MIN_ARROW_N = 0.2
 """Smallest force drawn as an arrow [N]."""
 ARROW_M_PER_N = 0.004
@@ -45,19 +52,28 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     digits = tree.digits
     q = log.field("q")
     force = log.field("tip_force")
-    limits = _picture_limits(tree)
+    meshes, _ = attached_meshes(hand, log.header.attachments)
+    palm = meshes["palm"].triangles.reshape(-1, 3) if "palm" in meshes else np.zeros((0, 3))
+    limits = _picture_limits(tree, palm)
     colours = digit_colours(hand)
     for axes in grid:
         axes.set_axis_off()
     for axes, (name, index) in zip(grid, moments, strict=False):
-        _draw_palm(axes, hand)
+        if "palm" in meshes:
+            _draw_mesh(axes, meshes["palm"].triangles, PALM_COLOUR)
+        else:
+            _draw_palm(axes, hand)
         paths = tree.points(q[index])
         turned = link_rotations(tree.poses(q[index]))
         # Digits with a large z lie behind the others in this projection and are drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             # The object pushes against the closing direction of the fingertip, y of the last link.
             push = -max(float(force[index, d]), 0.0) * turned[digits[d].joints][-1, :, 1]
-            _draw_digit(axes, paths[d], push, colours[d])
+            shown = [meshes.get(f"{digits[d].name}_link{i + 1}") for i in range(len(paths[d]) - 1)]
+            for mesh, position, rotation in zip(shown, paths[d], turned[digits[d].joints], strict=False):
+                if mesh:
+                    _draw_mesh(axes, mesh.triangles @ rotation.T + position, colours[d])
+            _draw_digit(axes, paths[d], push, colours[d], [mesh is not None for mesh in shown])
         _write_forces(axes, force[index], colours)
         axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
         axes.set_aspect("equal")
@@ -74,11 +90,12 @@ def _project(points_m: Array) -> Array:
     return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(SLANT)), np.float64)
 
 
-def _picture_limits(tree: HandTree) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of the picture, which includes the palm and every digit at rest."""
-    corners = _project(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
-    low = corners.min(axis=0) - 20.0
-    high = corners.max(axis=0) + 10.0
+def _picture_limits(tree: HandTree, palm: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the limits of the picture, which includes the palm, (n, 3) corners, and every digit at rest."""
+    digits = _project(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
+    corners = np.concatenate((digits - 20.0, digits + 10.0, _project(palm)))
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
@@ -88,10 +105,34 @@ def _draw_palm(axes: Any, hand: Hand) -> None:
     (y0, z0) = mounts[:, 1:].min(axis=0) - 0.009
     (y1, z1) = mounts[:, 1:].max(axis=0) + 0.009
     corners = np.array([[0.0, y, z] for y, z in ((y0, z0), (y1, z0), (y1, z1), (y0, z1))])
-    axes.fill(*_project(corners).T, color="#e3e6ea", zorder=0)
+    axes.fill(*_project(corners).T, color=PALM_COLOUR, zorder=0)
 
 
-def _draw_digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
+def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
+    """Draw a mesh, the far triangles first and those that face the light brighter.
+
+    Args:
+        axes: axes of the picture.
+        triangles: (n, 3, 3) in the palm frame [m].
+        colour: colour of the mesh.
+    """
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgb
+
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    bright = 0.55 + 0.45 * np.abs(normals @ LIGHT)
+    # Points with the same place in the picture differ in z, and the view is towards positive z.
+    order = np.argsort(-triangles[:, :, 2].mean(axis=1))
+    faces = np.clip(bright[order, None] * np.array(to_rgb(colour)), 0.0, 1.0)
+    # As a picture of points: as lines, the triangles of eight poses would make a page of many megabytes.
+    axes.add_collection(
+        PolyCollection(list(_project(triangles[order])), facecolors=faces, edgecolors=faces, linewidths=0.2,
+                       rasterized=True, zorder=1)
+    )  # fmt: skip
+
+
+def _draw_digit(axes: Any, joints: Array, push: Array, colour: str, has_mesh: Sequence[bool]) -> None:
     """Draw the links from the palm to the tip, and the estimated force on the tip [N] as an arrow.
 
     Args:
@@ -99,16 +140,19 @@ def _draw_digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
         joints: (n + 1, 3) joints and tip in the palm frame [m].
         push: (3,) force of the object [N].
         colour: colour of the links.
+        has_mesh: True for each link that is drawn as a mesh.
     """
     path = _project(joints)
-    axes.plot(
-        *path.T,
-        color=colour,
-        linewidth=7,
-        alpha=0.9,
-        solid_capstyle="round",
-        solid_joinstyle="round",
-    )
+    single = [path[i : i + 2] for i, meshed in enumerate(has_mesh) if not meshed]
+    for line in single if any(has_mesh) else [path]:
+        axes.plot(
+            *line.T,
+            color=colour,
+            linewidth=7,
+            alpha=0.9,
+            solid_capstyle="round",
+            solid_joinstyle="round",
+        )
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
     # A negative comparison: an unknown force or angle has no arrow.
     if not np.linalg.norm(push) >= MIN_ARROW_N:
@@ -230,6 +274,6 @@ def _new_figure(columns: int, width: float, height: float, rows: int = 1) -> tup
 def _to_svg(figure: Any) -> str:
     """Return the figure as an SVG element for a page."""
     text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    figure.savefig(text, format="svg", dpi=MESH_DPI, metadata={"Date": None, "Creator": None})
     svg = text.getvalue()
     return svg[svg.index("<svg") :]

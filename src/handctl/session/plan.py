@@ -14,8 +14,9 @@ from handctl.core.types import TickIn, TickOut
 from handctl.drives.frame_time import MAX_BUS_LOAD, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.load import hand_path, load_hand
 from handctl.hand.readiness import reasons_not_ready
+from handctl.log.attached_meshes import mesh_attachments
 from handctl.runtime.buses.open import check_spec, real_buses
 from handctl.runtime.simulator import simulated_time_scale
 from handctl.session.buses import refuse_default_hand
@@ -138,6 +139,10 @@ def make_plan(
     time_scale = chosen_time_scale(choice.time_scale, buses)
     _check_log(choice.log)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
+    meshes, left_out = mesh_attachments(hand, hand_path(choice.hand).parent)
+    for line in left_out:
+        tell(f"handctl: caution: {line}")
+    attachments |= meshes
     return Plan(hand, layers.gains, rate, load, buses, attachments, time_scale, choice.clear, display, tell)
 
 

@@ -17,6 +17,7 @@ from handctl.log.read.record_scan import RecordScan, scan_path
 from handctl.log.read.recover import RecoveryStatus, recover_log
 from handctl.view.scene.arrow import LOG_TIME, run_times
 from handctl.view.scene.blueprint import dashboard
+from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.styles import style_chunks
 from handctl.view.scene.topic_converters import TopicConverters
@@ -60,7 +61,7 @@ def run_parts(
     Raises:
         LogError: the log is damaged.
     """
-    yield [*style_chunks(run), *true_shape_chunks(run)]
+    yield [*style_chunks(run), *mesh_chunks(run), *true_shape_chunks(run)]
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         converters = TopicConverters(run)
         complete, scan = complete_log(path, Path(folder), scan or scan_path(path))

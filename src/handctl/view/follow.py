@@ -4,6 +4,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 
 import rerun as rr
@@ -13,6 +14,7 @@ from handctl.handlers import TerminationFlag
 from handctl.log.read.reader import RunLog
 from handctl.view.feed import log_chunks, new_recording
 from handctl.view.scene.blueprint import dashboard
+from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.styles import style_chunks
 from handctl.view.scene.topic_converters import TopicConverters
@@ -46,7 +48,7 @@ class Follower:
         self._folder = tempfile.TemporaryDirectory(prefix="handctl-follow-")
         self._stream = new_recording(run)
         self._stream.connect_grpc(url, default_blueprint=dashboard(run, live=True))
-        rr.send_chunks(style_chunks(run), recording=self._stream)
+        rr.send_chunks(chain(style_chunks(run), mesh_chunks(run)), recording=self._stream)
 
     def step(self) -> bool:
         """Send new chunks. Return False if the log has not grown.

@@ -17,7 +17,7 @@ from handctl.drives.dbc import dbc_of_bus
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.error_text import SECTION_PATTERN, Mistake, with_paths_of_file
+from handctl.hand.file.error_text import SECTION_PATTERN, Mistake, group_mistakes, with_paths_of_file
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.templates import RESOLVED_SCHEMA
 from handctl.hand.formats.mjcf import mjcf_text
@@ -31,6 +31,7 @@ from handctl.hand.load import (
     parse_toml,
     read_toml,
 )
+from handctl.hand.meshes import exported_meshes, mesh_mistakes
 from handctl.hand.readiness import table_fits
 from handctl.hand.strength import strength_warnings
 from handctl.output import FIGURE_SUFFIXES, check_output, path_with_suffix, write_text_atomically
@@ -69,6 +70,8 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
     """Return all errors of a hand and its files, one line each."""
     path = hand_path(args.hand)
     hand, mistakes, origins = inspect_content(read_toml(path))
+    if hand is not None:
+        mistakes += group_mistakes(with_paths_of_file(mesh_mistakes(hand, path.parent), origins))
     errors = [mistake.error(str(path)) for mistake in mistakes]
     checks: list[Callable[[], object]] = []
     if hand is None:
@@ -241,7 +244,8 @@ def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
     if not (args.urdf or args.mjcf):
         raise ConfigError("no format", "export", "--dbc, --urdf or --mjcf")
     output = args.output or Path(f"{hand.name}.{'urdf' if args.urdf else 'xml'}")
-    write_text_atomically(output, urdf_text(hand) if args.urdf else mjcf_text(hand), new=True)
+    meshes = exported_meshes(hand, hand_path(args.hand).parent, output.parent)
+    write_text_atomically(output, urdf_text(hand, meshes) if args.urdf else mjcf_text(hand, meshes), new=True)
     if args.json:
         print_json({"hand": hand.name, "output": str(output)})
     else:

@@ -32,6 +32,8 @@ def run(args: argparse.Namespace) -> int:
         warning = log.warning
         scan = log.scan
     code = warn_if_lossy(args.log, warning)
+    if run_info.note:
+        print_escaped(f"handctl: caution: {args.log}: {run_info.note}", error=True)
     if args.save or args.picture:
         with progress_bar("drawing" if args.picture else "writing", quiet=args.json):
             result = _write_files(args, run_info, at_s)
@@ -39,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         result = {}
         _show_in_viewer(args.log, run_info, scan)
     if args.json:
-        print_json(result | {"log": args.log, "warning": warning})
+        print_json(result | {"log": args.log, "warning": warning, "note": run_info.note})
     return code
 
 

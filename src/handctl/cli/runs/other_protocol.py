@@ -7,6 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from handctl.errors import ConfigError
+from handctl.hand.file.toml_text import toml_text
+from handctl.hand.load import hand_path
+from handctl.hand.meshes import with_meshes_from
 from handctl.output import write_text_atomically
 
 
@@ -55,4 +58,5 @@ def _hand_text(args: argparse.Namespace) -> str:
     """Return the text of the hand file with drives of the protocol."""
     from handctl.campaign.stage import hand_with_protocol  # a slow import: the whole controller
 
-    return hand_with_protocol(args.hand, args.protocol).to_toml()
+    hand = hand_with_protocol(args.hand, args.protocol)
+    return toml_text(with_meshes_from(hand.content, hand_path(args.hand).parent))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.hand.file.error_text import Mistake
-from handctl.hand.file.sections import Digit, Motor, StreamLimits, Tendon
+from handctl.hand.file.sections import Digit, Motor, Mount, StreamLimits, Tendon
 from handctl.hand.file.sensor_checks import amplifier_identifiers, check_sensor_node
 from handctl.hand.link_bodies import link_inertia
 from handctl.hand.moment_arms import TABLE_DEGREE, arms_at, polynomial_of, table_residual
@@ -41,7 +41,11 @@ KEYS_PER_LINK = (
     "spring_preload_rad",
 )
 """Keys of a digit with one value per link."""
-OPTIONAL_KEYS_PER_LINK = ("joint_axis", "joint_rpy_deg", "joint_rated_torque_N_m")
+MESH_POSE_KEYS = ("link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
+"""Keys of a digit about the meshes in ``link_mesh``."""
+PALM_POSE_KEYS = ("palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
+"""Keys of the section ``mount`` about ``palm_mesh``."""
+OPTIONAL_KEYS_PER_LINK = ("joint_axis", "joint_rpy_deg", "joint_rated_torque_N_m", "link_mesh", *MESH_POSE_KEYS)
 """The same, where the file has the key."""
 UNIT_TOLERANCE = 1e-3
 """Largest deviation of an axis from length 1, and of inertias from the triangle inequality, by rounding."""
@@ -82,6 +86,7 @@ def check_hand(hand: Hand) -> Mistakes:
         hand: hand with valid sections.
     """
     wrong = [*check_names(hand), *check_sections(hand.digit, hand.tendon)]
+    wrong += check_mesh_keys(hand.mount, "palm_mesh", PALM_POSE_KEYS, "mount")
     yield from wrong
     if wrong:
         return
@@ -133,6 +138,7 @@ def _check_digit(digit: Digit) -> Mistakes:
         if (values := getattr(digit, key)) is not None and len(values) != links
     ]
     yield from wrong
+    yield from check_mesh_keys(digit, "link_mesh", MESH_POSE_KEYS, where)
     for i in range(links) if not wrong else ():
         yield from _check_body(digit, i, where)
         if digit.joint_min_deg[i] >= digit.joint_max_deg[i]:
@@ -148,6 +154,18 @@ def _check_digit(digit: Digit) -> Mistakes:
         )
     if digit.coupling is not None:
         yield from _check_coupling(digit.coupling, f"{where}.coupling", links)
+
+
+def check_mesh_keys(section: Digit | Mount, mesh: str, keys: Iterable[str], where: str) -> Mistakes:
+    """Check that scale and pose of meshes are given with meshes only, and that no scale is 0."""
+    for key in keys:
+        if getattr(section, mesh) is None and getattr(section, key) is not None:
+            yield Mistake(f"given without {mesh}", f"{where}.{key}", f"{mesh} as well, or no such key")
+    scales = getattr(section, f"{mesh}_scale")
+    for i, scale in enumerate(scales if isinstance(section, Digit) and scales else [scales]):
+        if isinstance(scale, tuple) and 0.0 in scale:
+            place = f"{where}.{mesh}_scale" + (f"[{i}]" if isinstance(section, Digit) else "")
+            yield Mistake("a factor of 0", place, "factors that are not 0")
 
 
 def _check_body(digit: Digit, i: int, where: str) -> Mistakes:

@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from handctl.hand.file import mesh_values as mesh
 from handctl.hand.file import quantities as qty
 
 
@@ -15,10 +16,18 @@ class Section(BaseModel):
 
 
 class Mount(Section):
-    """Orientation of the palm in the world."""
+    """Orientation of the palm in the world, and its mesh."""
 
     gravity_m_s2: tuple[qty.Gravity, qty.Gravity, qty.Gravity]
     """Gravity in the palm frame: x out of the palm, y from thumb to fingers, z along the hinges."""
+    palm_mesh: mesh.MeshFile | None = None
+    """Mesh that pictures show as the palm, see ``link_mesh``. Absent for a box."""
+    palm_mesh_scale: mesh.MeshScale | None = None
+    """Unit of the mesh in metres, or a factor for x, y, z. 1 if absent, 0.001 for a mesh in millimetres."""
+    palm_mesh_position_m: tuple[mesh.MeshPosition, mesh.MeshPosition, mesh.MeshPosition] | None = None
+    """Position of the mesh's origin in the palm frame. [0, 0, 0] if absent."""
+    palm_mesh_rpy_deg: tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle] | None = None
+    """Orientation of the mesh in the palm frame, as ``mount_rpy_deg``. [0, 0, 0] if absent."""
 
 
 class Bus(Section):
@@ -198,6 +207,17 @@ class Digit(Section):
     """
     joint_rated_torque_N_m: tuple[qty.PositiveTorque, ...] | None = None
     """Torque limit of each joint with its pin and links, absent if unknown."""
+    link_mesh: tuple[mesh.MeshFile, ...] | None = None
+    """Mesh that pictures show as each link, ``""`` for a capsule: binary STL or OBJ, relative to the hand file.
+
+    Meshes have neither mass nor contacts. Absent for capsules.
+    """
+    link_mesh_scale: tuple[mesh.MeshScale, ...] | None = None
+    """Unit of each mesh in metres, or a factor for x, y, z. 1 if absent, 0.001 for meshes in millimetres."""
+    link_mesh_position_m: tuple[tuple[mesh.MeshPosition, mesh.MeshPosition, mesh.MeshPosition], ...] | None = None
+    """Position of each mesh's origin in the frame of its link. [0, 0, 0] if absent."""
+    link_mesh_rpy_deg: tuple[tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle], ...] | None = None
+    """Orientation of each mesh in the frame of its link, as ``mount_rpy_deg``. [0, 0, 0] if absent."""
 
     @model_validator(mode="before")
     @classmethod

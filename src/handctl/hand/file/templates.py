@@ -29,7 +29,7 @@ DIGIT_KINDS = ("tendon", "motor")
 """Tables that a digit may hold."""
 TEMPLATES = {kind: f"{kind}_template" for kind in SECTION_KINDS}
 """Name of the table of templates of each kind."""
-KEYS_ONE_FOR_ALL_LINKS = (*KEYS_PER_LINK, "joint_rated_torque_N_m")
+KEYS_ONE_FOR_ALL_LINKS = (*KEYS_PER_LINK, "joint_rated_torque_N_m", "link_mesh_scale")
 """Lists of a digit that one number may stand for."""
 WORD_FOR_ALL = "all"
 """Value of the sensor node that stands for all tendons or all joints."""

@@ -5,6 +5,7 @@ Each control is the tension of one tendon at the joint pulleys [N]. The model ha
 elasticity, no friction, and no rotors.
 """
 
+from collections.abc import Mapping
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -12,9 +13,10 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
 from handctl.hand.formats.numbers import number_text, numbers_text
-from handctl.hand.formats.urdf import palm_box, shape_length
+from handctl.hand.formats.urdf import NO_MESHES, palm_box, shape_length
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
 from handctl.hand.link_frames import quaternion
+from handctl.hand.meshes import LinkMesh
 
 STOP_SOLVER_PARAMETERS = ("0.002 1", "0.99 0.9999 0.001")
 """Solver parameters of stiff joint stops.
@@ -23,10 +25,20 @@ With MuJoCo's defaults, springs push these light links 16 degrees past their sto
 """
 
 
-def mjcf_text(hand: Hand) -> str:
+VISUAL_GROUP = "2"
+"""Group of the geoms of meshes. Viewers show the groups 0 to 2."""
+HIDDEN_GROUP = "3"
+"""Group of the collision shapes of links with a mesh."""
+
+
+def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     """Return the MJCF of a hand.
 
     Bodies are ``palm`` and ``index_link1``.., joints ``index_j1``.., sites ``index_tip``..
+
+    Args:
+        hand: description.
+        meshes: meshes by link, with paths relative to the file. They have neither mass nor contacts.
     """
     root = ET.Element("mujoco", model=hand.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -35,6 +47,7 @@ def mjcf_text(hand: Hand) -> str:
     palm = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name="palm")
     _add_palm(palm, hand, None)
     _add_tendons(root, hand)
+    _add_meshes(root, meshes)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -99,6 +112,24 @@ def _add_link_body(link: ET.Element, digit: Digit, i: int, length: float) -> Non
         ET.SubElement(link, "geom", type="capsule", fromto=numbers_text((0, 0, 0, length, 0, 0)), size=size)
     else:
         ET.SubElement(link, "geom", type="sphere", size=size)
+
+
+def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
+    """Add the meshes as assets and as geoms without mass and contacts. Shapes of the same bodies are hidden."""
+    if not meshes:
+        return
+    assets = ET.Element("asset")
+    root.insert(list(root).index(root.find("worldbody")), assets)  # type: ignore[arg-type]
+    bodies = {str(body.get("name")): body for body in root.iter("body")}
+    for link, mesh in meshes.items():
+        # The inertia of a shell is defined for open surfaces, too. It has no effect.
+        ET.SubElement(assets, "mesh", name=link, file=mesh.file, scale=numbers_text(mesh.scale), inertia="shell")
+        for geom in bodies[link].findall("geom"):
+            geom.set("group", HIDDEN_GROUP)
+        x, y, z, w = quaternion(mesh.rotation)
+        place = {"pos": numbers_text(mesh.position), "quat": numbers_text((w, x, y, z))}
+        free = {"contype": "0", "conaffinity": "0", "mass": "0", "group": VISUAL_GROUP}
+        ET.SubElement(bodies[link], "geom", place | free, type="mesh", mesh=link)
 
 
 def _add_tendons(root: ET.Element, hand: Hand) -> None:

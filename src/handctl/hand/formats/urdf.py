@@ -4,6 +4,7 @@ All joints at zero form the hand at rest, positive angles flex. Links are bars a
 axis.
 """
 
+from collections.abc import Mapping
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -13,28 +14,39 @@ from handctl.hand.digit import Array
 from handctl.hand.file.sections import Digit
 from handctl.hand.formats.numbers import number_text, numbers_text
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rpy_of
+from handctl.hand.meshes import LinkMesh
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Row and column of each value of URDF's inertia."""
+NO_MESHES: Mapping[str, LinkMesh] = {}
+"""Meshes of a hand with primitive shapes."""
 PALM_THICKNESS = 0.010
 """Depth of the palm's box [m]. Its face is x = 0."""
 PALM_MARGIN = 0.010
 """Extent of the palm beyond the outermost digits [m]."""
 
 
-def urdf_text(hand: Hand) -> str:
+def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     """Return the URDF of a hand.
 
     The root link is ``palm``, links are ``index_link1``.., joints ``index_j1``.., tips ``index_tip``.
+
+    Args:
+        hand: description.
+        meshes: meshes by link, with paths relative to the file. They replace visual shapes.
     """
     robot = ET.Element("robot", name=hand.name)
-    _add_palm(ET.SubElement(robot, "link", name="palm"), hand, None)
+    if meshes:
+        # MuJoCo otherwise looks for meshes without their folders, and drops them.
+        extension = ET.SubElement(robot, "mujoco")
+        ET.SubElement(extension, "compiler", strippath="false", discardvisual="false")
+    _add_palm(ET.SubElement(robot, "link", name="palm"), hand, None, meshes.get("palm"))
     for digit in hand.digit:
         for i in range(len(digit.link_length_m)):
             _add_joint(robot, hand, digit, i)
-            _add_link(robot, digit, i, shape_length(hand, digit, i))
+            _add_link(robot, digit, i, shape_length(hand, digit, i), meshes.get(f"{digit.name}_link{i + 1}"))
         if digit.name in hand.carriers:
-            _add_palm(robot[-1], hand, digit.name)
+            _add_palm(robot[-1], hand, digit.name, meshes.get(robot[-1].get("name", "")))
         _add_tip_frame(robot, digit)
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode") + "\n"
@@ -65,10 +77,12 @@ def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     return max(length - digit.link_radius_m, 0.0) if last and digit.name in hand.carriers else length
 
 
-def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
+def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh | None) -> None:
     """Add a box behind all digits on a link. The palm has no mass since it is fixed."""
     centre, size = palm_box(hand, carrier)
-    for element in ("visual", "collision"):
+    if mesh and carrier is None:
+        _add_mesh(link, mesh)
+    for element in _shape_elements(mesh):
         part = ET.SubElement(link, element)
         ET.SubElement(part, "origin", xyz=numbers_text(centre), rpy="0 0 0")
         ET.SubElement(ET.SubElement(part, "geometry"), "box", size=numbers_text(size))
@@ -101,7 +115,19 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     ET.SubElement(joint, "dynamics", damping=number_text(digit.joint_damping_N_m_s_per_rad[i]), friction="0")
 
 
-def _add_link(robot: ET.Element, digit: Digit, i: int, length: float) -> None:
+def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:
+    """Return the elements that primitive shapes have. A mesh replaces the visual ones."""
+    return ("collision",) if mesh else ("visual", "collision")
+
+
+def _add_mesh(link: ET.Element, mesh: LinkMesh) -> None:
+    """Add a mesh as the visual shape of a link."""
+    visual = ET.SubElement(link, "visual")
+    ET.SubElement(visual, "origin", xyz=numbers_text(mesh.position), rpy=numbers_text(np.radians(mesh.rpy_deg)))
+    ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=mesh.file, scale=numbers_text(mesh.scale))
+
+
+def _add_link(robot: ET.Element, digit: Digit, i: int, length: float, mesh: LinkMesh | None) -> None:
     """Add link i: inertia, and a cylinder of a length [m] with a ball at the far end."""
     radius = digit.link_radius_m
     link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
@@ -111,12 +137,12 @@ def _add_link(robot: ET.Element, digit: Digit, i: int, length: float) -> None:
     moments = link_inertia(digit, i)
     values = {f"i{key}": number_text(moments[place]) for key, place in MOMENTS.items()}
     ET.SubElement(inertial, "inertia", values)
-    for element in ("visual", "collision"):
+    if mesh:
+        _add_mesh(link, mesh)
+    for element in _shape_elements(mesh):
         if length > 0.0:
             bar = ET.SubElement(link, element)
-            ET.SubElement(
-                bar, "origin", xyz=numbers_text((length / 2, 0.0, 0.0)), rpy=f"0 {number_text(np.pi / 2)} 0"
-            )
+            ET.SubElement(bar, "origin", xyz=numbers_text((length / 2, 0.0, 0.0)), rpy=f"0 {number_text(np.pi / 2)} 0")
             ET.SubElement(
                 ET.SubElement(bar, "geometry"), "cylinder", radius=number_text(radius), length=number_text(length)
             )

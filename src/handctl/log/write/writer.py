@@ -32,6 +32,8 @@ _MEDIA = {
     ".urdf": "application/xml",
     ".txt": "text/plain",
     ".json": "application/json",
+    ".stl": "model/stl",
+    ".obj": "model/obj",
 }
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 

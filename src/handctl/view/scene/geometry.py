@@ -6,6 +6,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.digit_colours import colour_numbers
+from handctl.hand.link_frames import quaternion
 from handctl.view.scene import palette
 from handctl.view.scene.arrow import static_chunk
 from handctl.view.scene.run_info import RunInfo
@@ -18,24 +19,46 @@ _SHAPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3
 """Rerun's archetypes for the geometry of a URDF."""
 
 
+MEDIA_TYPES = {".stl": "model/stl", ".obj": "model/obj"}
+"""Media type of each kind of mesh file."""
+
+
 def entity_path(path: str) -> str:
     """Return the entity path /hand/<link>/<part> for /<robot>/visual_geometries/<link>/<part>."""
     return "/hand/" + path.split("/visual_geometries/", 1)[1]
 
 
 def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
-    """Yield a part of the hand from the log's URDF, as a solid.
+    """Yield a part of the hand from the log's URDF, as a solid, or nothing of a link with a mesh.
 
     Rerun draws wire frames by default.
     """
     path = entity_path(chunk.entity_path)
-    yield chunk.with_entity_path(path)
     link = path.split("/")[2]
+    if link in run.meshes:
+        return
+    yield chunk.with_entity_path(path)
     archetypes = {field.name.split(":")[0] for field in chunk.to_record_batch().schema}
     for archetype, shape in _SHAPES.items():
         if archetype in archetypes:
             style = shape.columns(fill_mode=[rr.components.FillMode.Solid], colors=[link_colour(link, run)])
             yield static_chunk(path, style)
+
+
+def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
+    """Yield the meshes of links and palm, each at /hand/<link>/mesh in the frame of its link."""
+    for link, attached in run.meshes.items():
+        mesh = attached.mesh
+        path = f"/hand/{link}/mesh"
+        asset = rr.Asset3D.columns(
+            blob=[attached.data], media_type=[MEDIA_TYPES[mesh.suffix]], albedo_factor=[link_colour(link, run)]
+        )
+        yield static_chunk(path, asset)
+        pose = rr.InstancePoses3D.columns(
+            translations=[mesh.position], quaternions=[quaternion(mesh.rotation)], scales=[mesh.scale]
+        )
+        yield static_chunk(path, pose)
+        yield static_chunk(path, rr.CoordinateFrame.columns(frame=[link]))
 
 
 def link_colour(link: str, run: RunInfo) -> palette.Colour:

@@ -1,12 +1,15 @@
 """Run and hand of a log, as used by converters and layout."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES
 from handctl.hand.description import Hand
+from handctl.hand.file.error_text import shortened_list
+from handctl.log.attached_meshes import AttachedMesh, attached_meshes
 from handctl.log.batch import columns_of_fields, row_fields
 from handctl.log.header import RunHeader
 from handctl.log.read.log_hand import described_hand
@@ -42,6 +45,19 @@ class RunInfo:
         """
         where = f"{name}, attachment hand.toml"
         return cls(header, described_hand(header, where), printable_text(name))
+
+    @cached_property
+    def meshes(self) -> dict[str, AttachedMesh]:
+        """Return the meshes in the log, by link."""
+        return attached_meshes(self.hand, self.header.attachments)[0]
+
+    @cached_property
+    def note(self) -> str:
+        """Return a line about meshes that the log does not have, or an empty text."""
+        missing = attached_meshes(self.hand, self.header.attachments)[1]
+        if not missing:
+            return ""
+        return f"capsules are drawn for {shortened_list(missing)}: the log does not have the meshes"
 
     @property
     def application(self) -> str:

@@ -1,0 +1,75 @@
+"""Triangles of mesh files: binary STL, and OBJ. MuJoCo and the viewer read the files themselves."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from handctl.hand.digit import Array
+
+STL_HEADER = 84
+"""Length of the header with the number of triangles [bytes]. Source: the STL format."""
+STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""Record of a triangle in a binary STL."""
+MAX_TRIANGLES = 200_000
+"""Largest number of triangles of a mesh. Source: MuJoCo reads no larger STL."""
+
+
+def mesh_triangles(data: bytes, suffix: str) -> Array:
+    """Return the corners of all triangles of a mesh, (n, 3, 3), in the unit of the file.
+
+    Args:
+        data: content of the file.
+        suffix: ending of the file's name, ``.stl`` or ``.obj``.
+
+    Raises:
+        ValueError: the content is no such mesh, is empty, or too large. The text says what is right.
+    """
+    triangles = _stl_triangles(data) if suffix.lower() == ".stl" else _obj_triangles(data)
+    if not len(triangles):
+        raise ValueError("no triangles; expected a mesh with at least one")
+    if len(triangles) > MAX_TRIANGLES:
+        raise ValueError(f"{len(triangles)} triangles; expected at most {MAX_TRIANGLES}")
+    if not np.isfinite(triangles).all():
+        raise ValueError("a corner that is not finite; expected finite coordinates")
+    return triangles
+
+
+def _stl_triangles(data: bytes) -> Array:
+    """Return the triangles of a binary STL."""
+    count = int.from_bytes(data[80:STL_HEADER], "little") if len(data) >= STL_HEADER else 0
+    size = STL_HEADER + count * STL_TRIANGLE.itemsize
+    if len(data) < STL_HEADER or len(data) != size:
+        if data.lstrip()[:5].lower() == b"solid":
+            raise ValueError("an STL in text form; expected a binary STL, which MuJoCo reads as well")
+        what = f"{len(data)} bytes" + (f" for {count} triangles" if len(data) >= STL_HEADER else "")
+        raise ValueError(f"{what}; expected a binary STL of {STL_HEADER} bytes and {STL_TRIANGLE.itemsize} a triangle")
+    records = np.frombuffer(data, STL_TRIANGLE, count, STL_HEADER)
+    return records["corners"].astype(np.float64)
+
+
+def _obj_triangles(data: bytes) -> Array:
+    """Return the triangles of an OBJ. A face with more corners is a fan of triangles."""
+    vertices: list[list[float]] = []
+    faces: list[tuple[int, int, int]] = []
+    for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
+        words = line.split()
+        try:
+            if words[:1] == ["v"]:
+                vertices.append([float(word) for word in words[1:4]])
+                if len(vertices[-1]) != 3:
+                    raise ValueError
+            elif words[:1] == ["f"]:
+                # v, v/vt, v//vn or v/vt/vn. A negative number counts from the last vertex.
+                given = [int(word.split("/")[0]) for word in words[1:]]
+                corners = [corner - 1 if corner > 0 else len(vertices) + corner for corner in given]
+                if len(corners) < 3 or 0 in given or min(corners) < 0:
+                    raise ValueError
+                faces += [(corners[0], one, two) for one, two in pairwise(corners[1:])]
+        except ValueError:
+            raise ValueError(f"line {number} is {line.strip()[:40]!r}; expected an OBJ with v and f lines") from None
+    places = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+    corners_of_faces = np.array(faces, dtype=np.int64).reshape(-1, 3)
+    if corners_of_faces.max(initial=-1) >= len(places):
+        what = f"a face with vertex {corners_of_faces.max() + 1} of {len(places)}"
+        raise ValueError(f"{what}; expected faces of vertices that are there")
+    return np.asarray(places[corners_of_faces])

@@ -1,0 +1,69 @@
+"""Meshes of a hand as attachments of its log, so that the log shows them on any machine."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from handctl.hand.description import Hand
+from handctl.hand.digit import Array
+from handctl.hand.formats.mesh_file import mesh_triangles
+from handctl.hand.meshes import LinkMesh, mesh_mistakes, mesh_sizes, meshes_of, read_meshes
+
+MAX_BYTES = 4 << 20
+"""Largest total size of the mesh files of a hand in its log [bytes]."""
+
+
+@dataclass(frozen=True, eq=False)
+class AttachedMesh:
+    """Mesh of a link with the content of its file.
+
+    Attributes:
+        mesh: place of the mesh on its link.
+        data: content of the file.
+        triangles: (n, 3, 3) in the frame of the link [m].
+    """
+
+    mesh: LinkMesh
+    data: bytes
+    triangles: Array
+
+
+def attachment_name(file: str) -> str:
+    """Return the name of the attachment with a mesh file."""
+    return f"mesh/{file}"
+
+
+def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[str]]:
+    """Return the attachments with the meshes of a hand, and one line for each mesh that is left out.
+
+    Args:
+        hand: description.
+        folder: folder of the hand file.
+    """
+    total = sum(mesh_sizes(hand, folder).values())
+    if total > MAX_BYTES:
+        sizes = f"{total / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.1f} MB"
+        return {}, [f"the meshes have {sizes}, and are not stored in the log: its views show capsules"]
+    mistakes = list(mesh_mistakes(hand, folder))
+    wrong = {mistake.where for mistake in mistakes}
+    files = [mesh.file for mesh in meshes_of(hand) if mesh.key not in wrong]
+    lines = [f"{mistake.where}: {mistake.what}; expected {mistake.right}" for mistake in mistakes]
+    return {attachment_name(file): data for file, data in read_meshes(files, folder).items()}, lines
+
+
+def attached_meshes(hand: Hand, attachments: Mapping[str, bytes]) -> tuple[dict[str, AttachedMesh], list[str]]:
+    """Return the meshes in a log by link, and the links whose mesh is missing or damaged.
+
+    Args:
+        hand: description in the log.
+        attachments: content of all attachments, by name.
+    """
+    found: dict[str, AttachedMesh] = {}
+    missing = []
+    for mesh in meshes_of(hand):
+        data = attachments.get(attachment_name(mesh.file), b"")
+        try:
+            found[mesh.link] = AttachedMesh(mesh, data, mesh.place(mesh_triangles(data, mesh.suffix)))
+        except ValueError:
+            missing.append(mesh.link)
+    return found, missing

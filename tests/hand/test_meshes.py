@@ -1,0 +1,390 @@
+"""Meshes of links and palm: files, refusals, place on the link, export, and no effect on the dynamics."""
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+
+from firmware_sim.description import load_hand as simulated_hand
+from firmware_sim.plant.mjcf import HIDDEN_GROUP, VISUAL_GROUP, model_text
+from firmware_sim.scene.scene import load_scene
+from handctl.errors import ConfigError
+from handctl.hand.file.json_schema import hand_schema
+from handctl.hand.formats.mesh_file import mesh_triangles
+from handctl.hand.formats.mjcf import mjcf_text
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.kinematics import joint_positions, link_rotations
+from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands, parse_toml
+from handctl.hand.meshes import PALM, exported_meshes, mesh_mistakes, meshes_of, with_meshes_from
+from handctl.hand.tree import HandTree
+from tests.hand.mesh_files import meshed, obj, plain, triangles, write_meshes
+from tools.meshes.__main__ import files
+from tools.meshes.solids import stl
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_meshes(tmp_path)
+    return tmp_path
+
+
+def test_a_binary_stl_and_an_obj_have_the_same_triangles() -> None:
+    assert mesh_triangles(stl(triangles()), ".stl") == pytest.approx(triangles(), abs=1e-9)
+    assert mesh_triangles(obj(), ".OBJ") == pytest.approx(triangles())
+    assert mesh_triangles(obj(mixed=True), ".obj") == pytest.approx(triangles())
+
+
+def test_a_face_of_more_corners_is_a_fan() -> None:
+    text = b"v 0 0 0\nv 1 0 0\nv 2 1 0\nv 1 2 0\nv 0 1 0\nf 1 2 3 4 5\n"
+    assert len(mesh_triangles(text, ".obj")) == 3
+
+
+def test_pictures_have_the_same_triangles_as_mujoco() -> None:
+    for path, content in files():
+        asset = f'<asset><mesh name="m" file="{path}"/></asset>'
+        model = mujoco.MjModel.from_xml_string(
+            f'<mujoco>{asset}<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
+        )
+        assert model.mesh_facenum[0] == len(mesh_triangles(content, ".stl"))
+
+
+MISTAKEN: dict[str, tuple[str, bytes, str]] = {
+    "text": (
+        "a.stl",
+        b"solid a\nfacet normal 0 0 1\n" * 9,
+        "an STL in text form; expected a binary STL",
+    ),
+    "short": (
+        "a.stl",
+        stl(triangles())[:-1],
+        "283 bytes for 4 triangles; expected a binary STL of 84 bytes and 50",
+    ),
+    "no header": ("a.stl", b"abc", "3 bytes; expected a binary STL"),
+    "empty file": ("a.stl", b"", "0 bytes; expected a binary STL"),
+    "no triangles": (
+        "a.stl",
+        stl(triangles())[:80] + bytes(4),
+        "no triangles; expected a mesh with at least one",
+    ),
+    "not finite": ("a.stl", stl(triangles() * np.nan), "a corner that is not finite"),
+    "no faces": ("a.obj", b"v 0 0 0\n", "no triangles"),
+    "not an OBJ": (
+        "a.obj",
+        b"\x00\x01 f x\nf x y z\n",
+        "line 2 is 'f x y z'; expected an OBJ with v and f lines",
+    ),
+    "a vertex that is not there": ("a.obj", b"v 0 0 0\nf 1 2 3\n", "a face with vertex 3 of 1"),
+    "a vertex before the first": ("a.obj", b"v 0 0 0\nf -1 -2 -3\n", "line 2 is 'f -1 -2 -3'"),
+    "two coordinates": ("a.obj", b"v 0 0\n", "line 1 is 'v 0 0'"),
+    "too many": (
+        "a.stl",
+        stl(np.repeat(triangles(), 50_001, axis=0)),
+        "200004 triangles; expected at most 200000",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", MISTAKEN)
+def test_a_file_that_is_no_mesh_is_named_with_what_is_right(tmp_path: Path, kind: str) -> None:
+    file, content, text = MISTAKEN[kind]
+    (tmp_path / file).write_bytes(content)
+    hand = with_keys("t42", link_mesh=["", file])
+    (left, _) = mesh_mistakes(hand, tmp_path)
+    assert text in f"{left.what}; expected {left.right}"
+    assert left.where == "digit[left].link_mesh[1]"
+
+
+def with_keys(name: str, **keys: object):
+    """Return a packaged hand with keys in every digit instead of its meshes."""
+    content = plain(name).content
+    content["digit"] = [digit | keys for digit in content["digit"]]
+    return hand_from_content(content, name)
+
+
+def test_a_missing_and_a_large_file_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "folder.stl").mkdir()
+    with (tmp_path / "large.stl").open("wb") as large:
+        large.truncate(17 << 20)
+    hand = with_keys("t42", link_mesh=["folder.stl", "large.stl"])
+    found = [*mesh_mistakes(hand, tmp_path), *mesh_mistakes(hand, tmp_path / "elsewhere")]
+    assert [mistake.what for mistake in found] == 2 * [
+        '"folder.stl": no such file',
+        '"large.stl": 18 MB',
+    ] + [
+        '"folder.stl": no such file',
+        '"large.stl": no such file',
+    ] * 2
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        (
+            {"link_mesh": ["sub/mm.stl", ""]},
+            "30 m long; at most 1 m; link_mesh_scale = 0.001 if the mesh",
+        ),
+        (
+            {"link_mesh": ["m.stl", ""], "link_mesh_scale": [1e-3, 1.0]},
+            "3e-05 m long; at least 0.0005 m; is link",
+        ),
+        (
+            {"link_mesh": ["m.stl", ""], "link_mesh_position_m": [[1.0, 0, 0], [0, 0, 0]]},
+            "1.03 m away from its link;",
+        ),
+        (
+            {"link_mesh": ["m.stl", ""], "link_mesh_scale": [1000.0, 1.0]},
+            "30 m long; at most 1 m; link_mesh_scale = 0.001 if",
+        ),
+        (
+            {"link_mesh": ["sub/mm.obj", ""], "link_mesh_scale": [1000.0, 1.0]},
+            "3e+04 m long; at most 1 m",
+        ),
+    ],
+)
+def test_an_absurd_size_is_refused(folder: Path, keys: dict[str, object], text: str) -> None:
+    (left, right) = mesh_mistakes(with_keys("t42", **keys), folder)
+    assert text in f"{left.what}; {left.right}"
+    assert right.where == "digit[right].link_mesh[0]"
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        (
+            {"link_mesh": ["a.stl"]},
+            "digit[left].link_mesh: 1 values; expected 2, one per link_length_m",
+        ),
+        (
+            {"link_mesh": ["a.glb", ""]},
+            'digit[left].link_mesh[0]: "a.glb"; expected a file of type .stl or .obj',
+        ),
+        (
+            {"link_mesh": ["a", ""]},
+            'digit[left].link_mesh[0]: "a"; expected a file of type .stl or .obj',
+        ),
+        ({"link_mesh": ["a\n.stl", ""]}, 'digit[left].link_mesh[0]: "a'),
+        (
+            {"link_mesh": [1, ""]},
+            "digit[left].link_mesh[0]: 1; expected a file of type .stl or .obj",
+        ),
+        ({"link_mesh": "a.stl"}, 'digit[left].link_mesh: "a.stl"; expected a list'),
+        (
+            {"link_mesh_scale": [1.0, 1.0]},
+            "digit[left].link_mesh_scale: given without link_mesh; expected link_mesh",
+        ),
+        (
+            {"link_mesh": ["a.stl", ""], "link_mesh_scale": [1.0]},
+            "digit[left].link_mesh_scale: 1 values; expected 2",
+        ),
+        (
+            {"link_mesh": ["a.stl", ""], "link_mesh_scale": [0, 1.0]},
+            "link_mesh_scale[0]: 0; expected a number from",
+        ),
+        (
+            {"link_mesh": ["a.stl", ""], "link_mesh_scale": [[0, 1, 1], 1]},
+            "link_mesh_scale[0]: a factor of 0;",
+        ),
+        (
+            {"link_mesh": ["a.stl", ""], "link_mesh_scale": [[1, 1], 1]},
+            "expected a number, or a list of 3 numbers",
+        ),
+        (
+            {"link_mesh": ["a.stl", ""], "link_mesh_position_m": [[9, 0, 0], [0, 0, 0]]},
+            "(in metres?)",
+        ),
+        (
+            {"link_mesh": ["a.stl", ""], "link_mesh_rpy_deg": [[0, 0, 0]]},
+            "link_mesh_rpy_deg: 1 values; expected 2",
+        ),
+    ],
+)
+def test_keys_of_meshes_are_checked(keys: dict[str, object], text: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(text)):
+        with_keys("t42", **keys)
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        (
+            {"palm_mesh": "palm.glb"},
+            'mount.palm_mesh: "palm.glb"; expected a file of type .stl or .obj',
+        ),
+        (
+            {"palm_mesh_scale": 1.0},
+            "mount.palm_mesh_scale: given without palm_mesh; expected palm_mesh as well",
+        ),
+        (
+            {"palm_mesh": "a.stl", "palm_mesh_scale": [1, 0, 1]},
+            "mount.palm_mesh_scale: a factor of 0; expected",
+        ),
+    ],
+)
+def test_keys_of_the_palm_are_checked(keys: dict[str, object], text: str) -> None:
+    content = plain("t42").content
+    with pytest.raises(ConfigError, match=re.escape(text)):
+        hand_from_content(content | {"mount": content["mount"] | keys}, "t42")
+
+
+def test_one_scale_holds_for_all_links() -> None:
+    assert {mesh.scale for mesh in meshes_of(load_hand("t42"))} == {(1e-3,) * 3}
+    assert hand_content("t42")["digit"][0]["link_mesh_scale"] == [1e-3, 1e-3]
+    scale = hand_schema()["definitions"]["DigitValues"]["properties"]["link_mesh_scale"]
+    assert [kind.get("type") for kind in scale["anyOf"]][-1] == "array"
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_meshes_survive_the_log_and_leave_the_identity(name: str) -> None:
+    hand = meshed(name)
+    assert hand_from_content(parse_toml(hand.to_toml(), name), name) == hand
+    assert hand.identity == plain(name).identity == load_hand(name).identity
+    links = {PALM} | {
+        f"{digit.name}_link{i + 1}" for digit in hand.digit for i in range(len(digit.joints)) if i
+    }
+    assert {mesh.link for mesh in meshes_of(hand)} >= links
+
+
+def test_packaged_meshes_are_those_of_their_script() -> None:
+    for path, content in files():
+        assert path.read_bytes() == content, f"{path.name}: run python -m tools.meshes"
+    hand = load_hand("t42")
+    folder = Path(next(files())[0]).parents[1]
+    assert not list(mesh_mistakes(hand, folder))
+
+
+def random_angles(hand, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(*hand.joint_limits)
+
+
+def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the corners of the mesh of each body as MuJoCo places them, in the palm frame [m]."""
+    data = mujoco.MjData(model)
+    data.qpos[: len(q)] = q
+    mujoco.mj_kinematics(model, data)
+    found = {}
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+        mesh = model.geom_dataid[geom]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        corners = model.mesh_vert[first : first + count]
+        body = model.body(model.geom_bodyid[geom]).name
+        place = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        found[PALM if body == "world" else body] = place
+    return found
+
+
+def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the corners of each mesh by the kinematics of handctl, in the palm frame [m]."""
+    poses = {PALM: (np.zeros(3), np.eye(3))}
+    tree = HandTree.of(hand)
+    all_poses = tree.poses(q)
+    for digit in tree.digits:
+        own = all_poses[digit.joints]
+        for i, pose in enumerate(zip(joint_positions(own), link_rotations(own), strict=True)):
+            poses[f"{digit.name}_link{i + 1}"] = pose
+    found = {}
+    for mesh in meshes_of(hand):
+        position, rotation = poses[mesh.link]
+        content = (folder / mesh.file).read_bytes()
+        found[mesh.link] = mesh.place(mesh_triangles(content, mesh.suffix)) @ rotation.T + position
+    return found
+
+
+def assert_same_places(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+    """Compare sets of corners by link: each corner has one of the other set within a micrometre."""
+    assert found.keys() == expected.keys()
+    for link, corners in expected.items():
+        distance = np.linalg.norm(corners.reshape(-1, 1, 3) - found[link][None], axis=-1)
+        assert distance.min(axis=1).max() < 1e-6, link
+        assert distance.min(axis=0).max() < 1e-6, link
+
+
+def exported(hand, folder: Path) -> dict[str, mujoco.MjModel]:
+    """Return the models of the hand as exported into another folder, and as simulated to draw."""
+    output = folder / "out"
+    output.mkdir()
+    meshes = exported_meshes(hand, folder, output)
+    (output / "hand.xml").write_text(mjcf_text(hand, meshes))
+    (output / "hand.urdf").write_text(urdf_text(hand, meshes))
+    (folder / "hand.toml").write_text(hand.to_toml())
+    drawn = model_text(simulated_hand(str(folder / "hand.toml")), load_scene(None), meshes=True)
+    return {
+        "mjcf": mujoco.MjModel.from_xml_path(str(output / "hand.xml")),
+        "urdf": mujoco.MjModel.from_xml_path(str(output / "hand.urdf")),
+        "simulator": mujoco.MjModel.from_xml_string(drawn),
+    }
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_exports_put_each_mesh_where_its_link_is(
+    folder: Path, name: str, rng: np.random.Generator
+) -> None:
+    hand = meshed(name)
+    models = exported(hand, folder)
+    for _ in range(3):
+        q = random_angles(hand, rng)
+        expected = corners_of_hand(hand, folder, q)
+        for model in models.values():
+            assert_same_places(corners_by_link(model, q), expected)
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_meshes_have_no_effect_on_the_dynamics(
+    folder: Path, name: str, rng: np.random.Generator
+) -> None:
+    hand, bare = meshed(name), plain(name)
+    (folder / "bare.toml").write_text(bare.to_toml())
+    models = exported(hand, folder)
+    simulated = simulated_hand(str(folder / "bare.toml"))
+    without = {
+        "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare)),
+        "simulator": mujoco.MjModel.from_xml_string(model_text(simulated, load_scene(None))),
+    }
+    # The plant of a run is that of a hand without meshes, to the letter.
+    meshed_plant = model_text(simulated_hand(str(folder / "hand.toml")), load_scene("cylinder"))
+    assert meshed_plant == model_text(simulated, load_scene("cylinder"))
+    for kind, other in without.items():
+        model = models[kind]
+        assert np.array_equal(model.body_mass, other.body_mass)
+        assert np.array_equal(model.body_inertia, other.body_inertia)
+        assert np.array_equal(model.body_ipos, other.body_ipos)
+        is_mesh = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
+        assert not (model.geom_contype[is_mesh] | model.geom_conaffinity[is_mesh]).any()
+        assert set(model.geom_group[is_mesh]) == {VISUAL_GROUP}
+        with_mesh = np.isin(model.geom_bodyid, model.geom_bodyid[is_mesh])
+        assert set(model.geom_group[with_mesh & ~is_mesh]) <= {HIDDEN_GROUP}
+        assert not (model.geom_group[~with_mesh] == HIDDEN_GROUP).any()
+        q = random_angles(hand, rng)
+        ends = []
+        for one in (model, other):
+            data = mujoco.MjData(one)
+            data.qpos[: len(q)] = q
+            for _ in range(20):
+                mujoco.mj_step(one, data)
+            ends.append(np.concatenate((data.qpos, data.qvel)))
+        assert np.array_equal(*ends)
+
+
+def test_other_libraries_read_the_urdf_with_its_meshes(folder: Path) -> None:
+    hand = meshed("orca_like")
+    exported(hand, folder)
+    path = str(folder / "out" / "hand.urdf")
+    model = pinocchio.buildModelFromUrdf(path)
+    kind = pinocchio.GeometryType.VISUAL
+    visual = pinocchio.buildGeomFromUrdf(model, path, kind, package_dirs=[str(folder / "out")])
+    meshes = [file for shape in visual.geometryObjects if (file := Path(shape.meshPath)).suffix]
+    assert len(meshes) == len(meshes_of(hand))
+    assert all(mesh.is_file() for mesh in meshes)
+
+
+def test_meshes_of_a_copied_file_are_found(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    hand = meshed("t42")
+    moved = hand_from_content(with_meshes_from(hand.content, folder), "t42")
+    assert list(mesh_mistakes(hand, elsewhere))
+    assert not list(mesh_mistakes(moved, elsewhere))
+    assert [mesh.link for mesh in meshes_of(moved)] == [mesh.link for mesh in meshes_of(hand)]

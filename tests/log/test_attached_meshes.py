@@ -1,0 +1,92 @@
+"""Meshes in a log: embedded up to a bound, found again without the hand file, and named where they are missing."""
+
+from pathlib import Path
+
+import pytest
+import synthetic
+
+from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
+from handctl.hand.meshes import meshes_of
+from handctl.log import attached_meshes as module
+from handctl.log.attached_meshes import MAX_BYTES, attached_meshes, mesh_attachments
+from handctl.log.read.log_hand import described_hand
+from handctl.log.read.reader import RunLog
+from handctl.log.read.recover import recover_log
+from tests.hand.mesh_files import meshed, triangles, write_meshes
+
+
+def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
+    hand = load_hand("t42")
+    attachments, left_out = mesh_attachments(hand, PACKAGED_HANDS_FOLDER)
+    assert not left_out
+    assert list(attachments) == ["mesh/t42/palm.stl", "mesh/t42/inner.stl", "mesh/t42/outer.stl"]
+    log = tmp_path / "run.mcap"
+    header = synthetic.header("t42", 100)
+    header.attachments.update(attachments)
+    synthetic.write(log, header, 0.5)
+    recovered = tmp_path / "recovered.mcap"
+    recover_log(log, recovered)
+    for path in (log, recovered):
+        with RunLog(path) as opened:
+            found, missing = attached_meshes(
+                described_hand(opened.header, "the log"), opened.header.attachments
+            )
+        assert not missing
+        assert {link: one.data for link, one in found.items()} == {
+            mesh.link: (PACKAGED_HANDS_FOLDER / mesh.file).read_bytes() for mesh in meshes_of(hand)
+        }
+
+
+def test_a_mesh_of_several_links_is_there_once_and_placed_on_each(tmp_path: Path) -> None:
+    write_meshes(tmp_path)
+    hand = meshed("jamia")
+    attachments, left_out = mesh_attachments(hand, tmp_path)
+    assert not left_out
+    assert set(attachments) == {"mesh/m.stl", "mesh/sub/mm.stl", "mesh/sub/mm.obj"}
+    found, missing = attached_meshes(hand, attachments)
+    assert not missing
+    assert found.keys() == {mesh.link for mesh in meshes_of(hand)}
+    for mesh in meshes_of(hand):
+        expected = triangles() / max(
+            abs(factor) for factor in (mesh.scale if mesh.file == "m.stl" else (1e-3,))
+        )
+        assert found[mesh.link].triangles == pytest.approx(mesh.place(expected), abs=1e-9)
+
+
+def test_meshes_beyond_the_bound_are_left_out_with_a_line(tmp_path: Path) -> None:
+    write_meshes(tmp_path)
+    with (tmp_path / "m.stl").open("r+b") as large:
+        large.truncate(MAX_BYTES)
+    attachments, left_out = mesh_attachments(meshed("t42"), tmp_path)
+    assert not attachments
+    assert left_out == [
+        "the meshes have 4.2 MB, more than 4.2 MB, and are not stored in the log: its views show capsules"
+    ]
+
+
+def test_a_mesh_that_is_wrong_is_left_out_with_a_line(tmp_path: Path) -> None:
+    write_meshes(tmp_path)
+    (tmp_path / "sub" / "mm.obj").unlink()
+    attachments, left_out = mesh_attachments(meshed("t42"), tmp_path)
+    assert left_out == [
+        'digit[left].link_mesh[1]: "sub/mm.obj": no such file; expected a file, relative to the hand file'
+    ]
+    found, missing = attached_meshes(meshed("t42"), attachments)
+    assert missing == ["left_link2"]
+    assert found.keys() == {"palm", "right_link2"}
+
+
+def test_a_damaged_mesh_in_a_log_is_missing(tmp_path: Path) -> None:
+    write_meshes(tmp_path)
+    hand = meshed("t42")
+    attachments, _ = mesh_attachments(hand, tmp_path)
+    assert attached_meshes(hand, {})[1] == ["palm", "left_link2", "right_link2"]
+    damaged = attachments | {"mesh/sub/mm.stl": attachments["mesh/sub/mm.stl"][:-7]}
+    assert attached_meshes(hand, damaged)[1] == ["right_link2"]
+
+
+def test_a_hand_without_meshes_reads_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        module, "read_meshes", lambda files, folder: {} if not files else pytest.fail(str(files))
+    )
+    assert mesh_attachments(load_hand("jamia"), Path("/nowhere")) == ({}, [])

@@ -1,0 +1,120 @@
+"""Meshes in a recording: at the link, with pose, scale and colour, instead of capsules."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic
+from rrd_entities import Entity, of_file, run_info_of
+
+from handctl.cli.main import main
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.link_frames import quaternion
+from handctl.hand.meshes import meshes_of
+from handctl.log.attached_meshes import mesh_attachments
+from handctl.log.header import RunHeader
+from handctl.view.feed import write_rrd
+from handctl.view.scene.geometry import MEDIA_TYPES, link_colour
+from tests.hand.mesh_files import meshed, write_meshes
+
+
+@pytest.fixture(scope="module")
+def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a run of a hand with meshes on some links. The mesh files are gone afterwards, as on another machine."""
+    folder = tmp_path_factory.mktemp("meshes")
+    files = folder / "files"
+    files.mkdir()
+    write_meshes(files)
+    hand = meshed("jamia")
+    attachments, _ = mesh_attachments(hand, files)
+    attachments["hand.urdf"] = urdf_text(hand).encode()
+    header = RunHeader.of_hand(
+        hand.to_toml(), 10_000_000, attachments=attachments, deterministic=True
+    )
+    synthetic.write(folder / "run.mcap", header, 0.5)
+    for file in files.rglob("*.*"):
+        file.unlink()
+    return folder / "run.mcap"
+
+
+@pytest.fixture(scope="module")
+def recorded(mesh_log: Path) -> dict[str, Entity]:
+    out = mesh_log.with_suffix(".rrd")
+    write_rrd(mesh_log, run_info_of(mesh_log), out)
+    return of_file(out)
+
+
+def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
+    recorded: dict[str, Entity], mesh_log: Path
+) -> None:
+    run = run_info_of(mesh_log)
+    assert run.note == ""
+    for mesh in meshes_of(run.hand):
+        shown = recorded[f"/hand/{mesh.link}/mesh"].static
+        assert shown["CoordinateFrame:frame"] == [mesh.link]
+        assert bytes(np.array(shown["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
+        assert shown["Asset3D:media_type"] == [MEDIA_TYPES[mesh.suffix]]
+        red, green, blue, *_ = link_colour(mesh.link, run)
+        assert shown["Asset3D:albedo_factor"] == [(red << 24) | (green << 16) | (blue << 8) | 255]
+        assert shown["InstancePoses3D:translations"] == [pytest.approx(mesh.position, rel=1e-6)]
+        assert shown["InstancePoses3D:quaternions"] == [
+            pytest.approx(quaternion(mesh.rotation), abs=1e-6)
+        ]
+        assert shown["InstancePoses3D:scales"] == [pytest.approx(mesh.scale, rel=1e-6)]
+
+
+def test_a_link_has_a_mesh_or_capsules(recorded: dict[str, Entity], mesh_log: Path) -> None:
+    hand = run_info_of(mesh_log).hand
+    meshed_links = {mesh.link for mesh in meshes_of(hand)}
+    links = {"palm"} | {
+        f"{digit.name}_link{i + 1}" for digit in hand.digit for i in range(len(digit.joints))
+    }
+    assert meshed_links < links
+    for link in links:
+        parts = {path.split("/")[3] for path in recorded if path.startswith(f"/hand/{link}/")}
+        assert parts == {"mesh"} if link in meshed_links else "mesh" not in parts and parts, link
+
+
+def test_the_live_view_sends_the_same_meshes(
+    mesh_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from handctl.view import follow
+
+    sent: list[str] = []
+    monkeypatch.setattr(
+        follow.rr,
+        "send_chunks",
+        lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
+    )
+    monkeypatch.setattr(follow, "FLUSH_S", 0.05)  # there is no viewer
+    run = run_info_of(mesh_log)
+    follower = follow.Follower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
+    follower.close()
+    links = {path.split("/")[2] for path in sent if path.endswith("/mesh")}
+    assert links == {mesh.link for mesh in meshes_of(run.hand)}
+
+
+def test_a_log_without_its_meshes_shows_capsules_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, out = tmp_path / "run.mcap", tmp_path / "run.rrd"
+    synthetic.write(log, synthetic.header("t42", 100), 0.3)
+    assert main(["view", str(log), "--save", str(out)]) == 0
+    text = "capsules are drawn for palm, left_link1 and 3 more: the log does not have the meshes"
+    assert f"handctl: caution: {log}: {text}\n" in capsys.readouterr().err
+    paths = of_file(out)
+    assert "/hand/left_link1/visual_0" in paths
+    assert not [path for path in paths if path.endswith("/mesh")]
+
+
+def test_the_page_of_a_run_draws_meshes(mesh_log: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare.mcap"
+    synthetic.write(bare, synthetic.header("jamia", 100), 0.5)
+    pictures = []
+    for log in (mesh_log, bare):
+        page = tmp_path / f"{log.stem}.html"
+        assert main(["report", str(log), "--output", str(page)]) == 0
+        poses = page.read_text().split("The hand in each phase")[1].split("</section>")[0]
+        pictures.append(poses.count("data:image/png"))
+    assert pictures[0] > 0
+    assert pictures[1] == 0

@@ -1,0 +1,1 @@
+"""Meshes of packaged hands, made from a few numbers."""

@@ -1,0 +1,30 @@
+"""Write the meshes of packaged hands: ``python -m tools.meshes``."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from tools.meshes import t42
+from tools.meshes.solids import stl
+
+HANDS = Path(__file__).parents[2] / "src" / "handctl" / "hand" / "hands"
+"""Folder of the packaged hands."""
+
+
+def files() -> Iterator[tuple[Path, bytes]]:
+    """Yield path and content of each mesh file."""
+    for name, triangles in (("palm", t42.palm()), ("inner", t42.inner_link()), ("outer", t42.outer_link())):
+        yield HANDS / "t42" / f"{name}.stl", stl(triangles)
+
+
+def main() -> int:
+    """Write all files. Return the exit code."""
+    for path, content in files():
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+        print(f"{path.relative_to(HANDS.parent)}: {len(content)} bytes")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""Convex prisms with chamfered edges, and binary STL."""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+HEADER = b"made by python -m tools.meshes"
+"""Start of the files' header of 80 bytes."""
+
+
+def disc(centre: tuple[float, float], radius: float, sides: int = 24) -> Array:
+    """Return the corners of a regular polygon, (sides, 2), counter-clockwise."""
+    angles = 2.0 * math.pi * np.arange(sides) / sides
+    return np.asarray(np.array(centre) + radius * np.column_stack((np.cos(angles), np.sin(angles))))
+
+
+def prism(outline: Sequence[Sequence[float]] | Array, low: float, high: float, chamfer: float) -> Array:
+    """Return the triangles of a prism along z with chamfered ends, (n, 3, 3).
+
+    Args:
+        outline: corners of a convex polygon in x and y, (m, 2), counter-clockwise.
+        low: smallest z.
+        high: largest z.
+        chamfer: width of the chamfer along z and, at most, in x and y.
+    """
+    corners = np.asarray(outline, dtype=np.float64)
+    middle = corners.mean(axis=0)
+    inset = middle + (corners - middle) * (1.0 - chamfer / np.linalg.norm(corners - middle, axis=1, keepdims=True))
+    layers = [(inset, low), (corners, low + chamfer), (corners, high - chamfer), (inset, high)]
+    rings = [np.column_stack((ring, np.full(len(ring), z))) for ring, z in layers]
+    triangles = []
+    for i in range(len(corners)):
+        j = (i + 1) % len(corners)
+        for below, above in pairwise(rings):
+            triangles += [(below[i], below[j], above[j]), (below[i], above[j], above[i])]
+        if 0 < i < len(corners) - 1:
+            triangles += [(rings[0][0], rings[0][j], rings[0][i]), (rings[-1][0], rings[-1][i], rings[-1][j])]
+    return np.array(triangles)
+
+
+def along_x(triangles: Array) -> Array:
+    """Return triangles with their z axis turned to x, their x to y, and their y to z."""
+    return triangles[..., [2, 0, 1]]
+
+
+def stl(triangles: Array) -> bytes:
+    """Return triangles (n, 3, 3) as a binary STL."""
+    records = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    records["normal"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    records["corners"] = triangles
+    return HEADER.ljust(80, b"\0") + len(records).to_bytes(4, "little") + records.tobytes()

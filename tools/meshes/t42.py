@@ -1,0 +1,59 @@
+"""Meshes of the hand t42 in millimetres: palm, inner link and outer link.
+
+The lengths of the links, the distance of the fingers and the section of 16 x 18 mm are those of
+t42.toml. All other sizes are chosen.
+"""
+
+import numpy as np
+
+from tools.meshes.solids import Array, along_x, disc, prism
+
+INNER = 62.551
+"""Distance of the two joints of a finger."""
+OUTER = 48.0
+"""Distance of the tip from the outer joint."""
+HALF_WIDTH = 9.0
+"""Half of the extent of a link along the hinge."""
+MOUNT = 26.0
+"""Distance of the first joint of a finger from the middle."""
+
+
+def inner_link() -> Array:
+    """Return the inner link: a knuckle, a bar, a pad on the closing side, and two cheeks at the outer joint."""
+    bar = [(2.0, -7.0), (INNER - 14.0, -6.0), (INNER - 10.0, -4.0), (INNER - 10.0, 3.5), (INNER - 13.0, 5.0),
+           (2.0, 6.5)]  # fmt: skip
+    pad = [(12.0, 4.0), (INNER - 15.0, 4.0), (INNER - 17.0, 8.0), (14.0, 8.0)]
+    cheek = [(INNER - 18.0, -5.5), (INNER, -6.0), (INNER + 5.0, -3.5), (INNER + 6.0, 0.0), (INNER + 5.0, 3.5),
+             (INNER, 6.0), (INNER - 18.0, 4.5)]  # fmt: skip
+    return np.vstack([
+        prism(disc((0.0, 0.0), 8.0), -5.5, 5.5, 0.8), prism(bar, -HALF_WIDTH, HALF_WIDTH, 1.5),
+        prism(pad, -HALF_WIDTH + 1.0, HALF_WIDTH - 1.0, 1.0),
+        prism(cheek, -HALF_WIDTH, -HALF_WIDTH + 2.5, 0.5), prism(cheek, HALF_WIDTH - 2.5, HALF_WIDTH, 0.5),
+        prism(disc((INNER, 0.0), 2.5), -HALF_WIDTH - 0.8, HALF_WIDTH + 0.8, 0.4),
+    ])  # fmt: skip
+
+
+def outer_link() -> Array:
+    """Return the outer link: a knuckle, a bar that narrows to the tip, and a pad on the closing side."""
+    bar = [(3.0, -5.5), (26.0, -5.0), (OUTER - 8.0, -3.0), (OUTER - 2.0, 0.5), (OUTER, 3.5), (OUTER - 1.5, 5.5),
+           (OUTER - 6.0, 6.5), (8.0, 6.0), (3.0, 4.5)]  # fmt: skip
+    pad = [(9.0, 4.0), (OUTER - 3.0, 4.5), (OUTER - 4.5, 7.5), (OUTER - 9.0, 8.0), (12.0, 7.8)]
+    return np.vstack([
+        prism(disc((0.0, 0.0), 6.0), -5.8, 5.8, 0.8), prism(bar, -HALF_WIDTH + 0.5, HALF_WIDTH - 0.5, 1.5),
+        prism(pad, -HALF_WIDTH + 1.2, HALF_WIDTH - 1.2, 1.0),
+    ])  # fmt: skip
+
+
+def palm() -> Array:
+    """Return the palm: a block between the fingers, a foot, and two cheeks at each first joint."""
+    block = [(-30.0, -15.0), (-2.0, -15.0), (0.0, -13.0), (0.0, 13.0), (-2.0, 15.0), (-30.0, 15.0)]
+    foot = [(-38.0, -33.0), (-36.0, -37.0), (-14.0, -37.0), (-11.0, -33.0), (-11.0, 33.0), (-14.0, 37.0), (-36.0, 37.0),
+            (-38.0, 33.0)]  # fmt: skip
+    parts = [prism(block, -17.0, 17.0, 1.5), prism(foot, -17.0, 17.0, 2.0)]
+    parts.append(along_x(prism(disc((0.0, 0.0), 24.0, 36), -48.0, -36.0, 1.5)))
+    for y in (-MOUNT, MOUNT):
+        cheek = [(-20.0, y - 8.5), (0.0, y - 8.0), (5.5, y - 5.5), (8.0, y), (5.5, y + 5.5), (0.0, y + 8.0),
+                 (-20.0, y + 8.5)]  # fmt: skip
+        parts += [prism(cheek, -9.5, -6.2, 0.6), prism(cheek, 6.2, 9.5, 0.6)]
+        parts.append(prism(disc((0.0, y), 3.0), -10.5, 10.5, 0.5))
+    return np.vstack(parts)
