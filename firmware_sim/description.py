@@ -418,20 +418,26 @@ def _meshes(raw: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
     mount = raw["mount"]
     pose_keys = ("scale", "position_m", "rpy_deg")
     if mount.get("palm_mesh"):
-        yield _mesh("palm", folder / mount["palm_mesh"], *(mount.get(f"palm_mesh_{key}") for key in pose_keys))
+        pose = [mount.get(f"palm_mesh_{key}") for key in pose_keys]
+        yield _mesh("palm", folder / mount["palm_mesh"], *pose)
     for digit in raw["digit"]:
         count = len(digit["link_length_m"])
         poses = [digit.get(f"link_mesh_{key}") or [None] * count for key in pose_keys]
         for i, file in enumerate(digit.get("link_mesh") or ()):
             if file:
-                yield _mesh(f"{digit['name']}_link{i + 1}", folder / file, *(values[i] for values in poses))
+                pose = [values[i] for values in poses]
+                yield _mesh(f"{digit['name']}_link{i + 1}", folder / file, *pose)
 
 
 def _mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
     """Return a mesh. None stands for no scaling, no shift or no turn."""
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
-        link, str(file.absolute()), tuple(factors), tuple(position or [0.0] * 3), tuple(rpy_deg or [0.0] * 3)
+        link=link,
+        file=str(file.absolute()),
+        scale=tuple(factors),
+        position=tuple(position or (0.0, 0.0, 0.0)),
+        rpy_deg=tuple(rpy_deg or (0.0, 0.0, 0.0)),
     )
 
 

@@ -1,7 +1,8 @@
 """Tree of links in a robot description, URDF or MJCF, read by MuJoCo. The result has plain values only."""
 
 import warnings
-from pathlib import Path
+from collections.abc import Sequence
+from pathlib import Path, PurePath
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -9,6 +10,7 @@ import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
 from firmware_sim.description import SimulatorError
+from firmware_sim.model_meshes import BodyMesh, mjcf_meshes, rotation_of, urdf_files, urdf_meshes
 from firmware_sim.printing import one_line
 
 ROOTS = {"urdf": "robot", "mjcf": "mujoco"}
@@ -45,7 +47,9 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
         - ``name``: name of the model.
         - ``gravity``: (3,) in the root frame [m/s2], None if the format has none.
         - ``palm``: named frames on the root, by name (3,) [m].
-        - ``links``: one table per joint, see ``_link``, parents first.
+        - ``palm_meshes``: meshes on the root, as those of a link.
+        - ``links``: one table per joint, see ``_link``, parents first. ``meshes`` of each are tables
+          with ``file``, ``scale`` (3,), ``position`` (3,) [m] and ``rotation`` (3, 3) in its frame.
         - ``tendons``: name, arms by joint [m], motor or None, and largest tension or None [N].
         - ``notes``: one line for each part of the file that was not read.
 
@@ -56,17 +60,26 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
     if kind == "urdf":
         _check_joint_types(root, path)
     notes: list[str] = []
-    model = _compiled(path, kind, notes)
+    spec, model = _compiled(path, kind, root, notes)
     _check_structure(model, path)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     roots = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
+    folder = Path(path).absolute().parent
+    urdf = kind == "urdf"
+    shown = urdf_meshes(root, folder, model) if urdf else mjcf_meshes(spec, model, folder, notes)
+    meshes = list(shown)
     links = [_link(model, data, roots, body, path) for body in roots]
+    for body, link in zip(roots, links, strict=True):
+        axes = data.xmat[body].reshape(3, 3)
+        origin = data.xanchor[model.body_jntadr[body]]
+        link["meshes"] = _meshes(meshes, model, data, body, origin, axes)
     return {
         "name": root.get("name") or root.get("model") or Path(path).stem,
         "gravity": model.opt.gravity.tolist() if kind == "mjcf" else None,
         "palm": _frames(model, data, 0, np.zeros(3), np.eye(3)),
+        "palm_meshes": _meshes(meshes, model, data, 0, np.zeros(3), np.eye(3)),
         "links": links,
         "tendons": _tendons(model, notes),
         "notes": notes,
@@ -106,7 +119,7 @@ def _check_joint_types(root: ET.Element, path: str) -> None:
             raise SimulatorError(f"{path}: {what}; expected {right}")
 
 
-def _compiled(path: str, kind: str, notes: list[str]) -> Any:
+def _compiled(path: str, kind: str, root: ET.Element, notes: list[str]) -> tuple[Any, Any]:
     """Compile the file without merging fixed bodies. Shapes of unreadable meshes are left out."""
     try:
         spec = _parsed(path)
@@ -115,16 +128,25 @@ def _compiled(path: str, kind: str, notes: list[str]) -> Any:
         if kind == "urdf":
             # Shapes of an URDF are not its inertia.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+            _name_mesh_files(spec, root, Path(path).absolute().parent)
         try:
-            return _model(spec)
+            return spec, _model(spec)
         except ValueError as error:
             if not _remove_meshes(spec):
                 raise
             model = _model(spec)
-            notes.append(f"meshes are not read: {_first_line(error)}")
-            return model
+            notes.append(f"shapes of meshes are not read: {_first_line(error)}")
+            return spec, model
     except (UnicodeError, ValueError) as error:
         raise SimulatorError(f"{path}: {_first_line(error)}") from None
+
+
+def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
+    """Give the meshes of a URDF the paths where their files are. MuJoCo knows no packages, and drops folders."""
+    places = {PurePath(name).name: place for name, place in urdf_files(root, folder).items()}
+    for mesh in spec.meshes:
+        mesh.file = str(places.get(PurePath(mesh.file).name, mesh.file))
+    spec.strippath = False
 
 
 def _model(spec: Any) -> Any:
@@ -240,6 +262,25 @@ def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict
     }
 
 
+def _meshes(
+    meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, turn: Any
+) -> list[dict[str, Any]]:
+    """Return the meshes of a link in its frame, as plain values."""
+    found = []
+    members = _members(model, root)
+    for mesh in meshes:
+        if mesh.body in members:
+            axes = data.xmat[mesh.body].reshape(3, 3)
+            place = data.xpos[mesh.body] + axes @ mesh.position - origin
+            found.append({
+                "file": str(mesh.file),
+                "scale": mesh.scale.tolist(),
+                "position": (turn.T @ place).tolist(),
+                "rotation": (turn.T @ axes @ mesh.rotation).tolist(),
+            })  # fmt: skip
+    return found
+
+
 def _inertia(
     model: Any, data: Any, members: list[int], origin: Any, turn: Any
 ) -> tuple[float, list[float], list[list[float]]]:
@@ -283,7 +324,7 @@ def _shapes(
         if body not in members or kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
             continue
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-        axes = data.xmat[body].reshape(3, 3) @ _rotation(model.geom_quat[geom])
+        axes = data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
         place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
         corners.append((place + (centre + CORNERS * half) @ axes.T - origin) @ turn)
         rank = ROUND.index(kind) if kind in ROUND else len(ROUND)
@@ -292,13 +333,6 @@ def _shapes(
     if not corners:
         return [], None
     return np.vstack(corners).tolist(), radii[min(radii)]
-
-
-def _rotation(quaternion: Any) -> Any:
-    """Return the rotation of a quaternion, (3, 3)."""
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
 
 
 def _tendons(model: Any, notes: list[str]) -> list[dict[str, Any]]:

@@ -165,8 +165,8 @@ def _mesh_geom(mesh: LinkMesh | None) -> str:
     if mesh is None:
         return ""
     return (
-        f'<geom name="{mesh.link}_mesh" type="mesh" mesh="{mesh.link}" contype="0" conaffinity="0" mass="0"'
-        f' group="{VISUAL_GROUP}" pos="{_text(mesh.position)}" euler="{_text(mesh.rpy_deg)}"/>'
+        f'<geom name="{mesh.link}_mesh" type="mesh" mesh="{mesh.link}" group="{VISUAL_GROUP}" mass="0"'
+        f' contype="0" conaffinity="0" pos="{_text(mesh.position)}" euler="{_text(mesh.rpy_deg)}"/>'
     )
 
 
@@ -229,7 +229,8 @@ def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool], shown: dict[str, 
         # The link that carries the box ends at the face of the box.
         length = max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
         mesh = shown.get(f"{digit.name}_link{i + 1}")
-        opening += _joint(digit, i) + _body(digit, i, length, bits, mesh is not None) + _mesh_geom(mesh) + "\n"
+        body = _body(digit, i, length, bits, mesh is not None)
+        opening += f"{_joint(digit, i)}{body}{_mesh_geom(mesh)}\n"
         closing = "</body>" + closing
     return opening + (_palm(hand, digit.name, opposed, shown) if carries else "") + closing
 
@@ -264,7 +265,8 @@ def _body(digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: 
     shape = f'type="capsule" fromto="0 0 0 {length} 0 0"' if length else 'type="sphere"'
     return (
         f'<inertial pos="{_text(digit.com[i])}" mass="{digit.mass[i]}" {inertia}/>'
-        f'<geom {shape} size="{digit.radius}" contype="{bits[0]}" conaffinity="{bits[1]}"{_hidden_if(has_mesh)}/>'
+        f'<geom {shape} size="{digit.radius}" contype="{bits[0]}" conaffinity="{bits[1]}"'
+        f"{_hidden_if(has_mesh)}/>"
     )
 
 

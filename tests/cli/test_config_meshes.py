@@ -4,15 +4,34 @@ import shutil
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import mujoco
+import numpy as np
 import pytest
 
+from firmware_sim.model_file import read_model_file
+from handctl.cli.checks.config_import import read_described
 from handctl.cli.main import main
 from handctl.cli.runs.other_protocol import hand_in_protocol
-from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
-from handctl.hand.meshes import mesh_mistakes
+from handctl.hand.load import (
+    PACKAGED_HANDS_FOLDER,
+    hand_content,
+    hand_from_content,
+    load_hand,
+    packaged_hands,
+)
+from handctl.hand.meshes import LinkMesh, mesh_mistakes, meshes_of
 from handctl.log.attached_meshes import MAX_BYTES
 from handctl.session.plan import Choice, make_plan
 from tests.cli.refused import refused, refused_lines
+from tests.cli.test_config_import import TRIPOD
+from tests.hand.mesh_files import (
+    assert_same_places,
+    corners_of_hand,
+    meshed,
+    triangles,
+    write_meshes,
+)
+from tools.meshes.solids import stl
 
 LINK_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
 """Line of t42.toml with the meshes of both fingers."""
@@ -138,3 +157,150 @@ def test_a_hand_in_another_protocol_keeps_its_meshes(own: Path) -> None:
     with hand_in_protocol(args):
         assert args.hand != str(own)
         assert not list(mesh_mistakes(load_hand(args.hand), Path(args.hand).parent))
+
+
+FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", packaged_hands())
+def test_exported_meshes_come_back_to_their_places(
+    place: Path, name: str, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (place / "hand").mkdir()
+    (place / "mine").mkdir()
+    write_meshes(place / "hand")
+    hand = meshed(name)
+    Path("hand/hand.toml").write_text(hand.to_toml())
+    exported = f"hand/{FORMS[form]}"
+    assert main(["config", "export", form, "--hand", "hand/hand.toml", "--output", exported]) == 0
+    assert main(["config", "init", "--yes", form, exported, "--output", "mine/mine.toml"]) == 0
+    assert "warning" not in capsys.readouterr().out
+    content = hand_content("mine/mine.toml")
+    # A hand that can be loaded, with the meshes of the import.
+    known = hand.content
+    digits = [
+        {key: value for key, value in digit.items() if "mesh" not in key}
+        | {key: value for key, value in read.items() if "mesh" in key}
+        for digit, read in zip(known["digit"], content["digit"], strict=True)
+    ]
+    mount = {"gravity_m_s2": known["mount"]["gravity_m_s2"]}
+    mount |= {key: value for key, value in content["mount"].items() if "mesh" in key}
+    again = hand_from_content(known | {"mount": mount, "digit": digits}, name)
+    assert {mesh.file for mesh in meshes_of(again)} == {
+        f"../hand/{file}"
+        for file in ("m.stl", "sub/mm.obj", "sub/mm.stl")[: 3 if len(digits) > 1 else 2]
+    }
+    q = np.zeros(len(hand.joints))
+    expected = corners_of_hand(hand, place / "hand", q)
+    assert_same_places(corners_of_hand(again, place / "mine", q), expected)
+
+
+def stranger_in(place: Path) -> Path:
+    """Write the hand of a stranger as a ROS package with meshes, and return its URDF."""
+    folder = place / "ws" / "gripper"
+    (folder / "urdf").mkdir(parents=True)
+    (folder / "meshes").mkdir()
+    for size, name in enumerate(("base", "proximal"), 1):
+        (folder / "meshes" / f"{name}.stl").write_bytes(stl(size * triangles()))
+    return Path(shutil.copy(TRIPOD, folder / "urdf"))
+
+
+def test_meshes_of_a_package_are_taken_over(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf = stranger_in(place)
+    assert main(["config", "init", "--yes", "--urdf", str(urdf), "--output", "mine.toml"]) == 0
+    assert "mesh" not in capsys.readouterr().out
+    described, notes = read_described(urdf, "urdf", place)
+    assert not notes
+    assert described.palm_mesh
+    assert described.palm_mesh.file == "ws/gripper/meshes/base.stl"
+    # The frame of the palm and of each link, in the frame of the URDF, at angle zero.
+    model = read_model_file(str(urdf), "urdf")
+    palm = described.palm
+    (base,) = model["palm_meshes"]
+    origin = np.array(base["position"]) - palm @ described.palm_mesh.position
+    assert palm @ described.palm_mesh.rotation == pytest.approx(
+        np.array(base["rotation"]), abs=1e-9
+    )
+    frames: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    places = {}
+    for i, link in enumerate(model["links"]):
+        position, rotation = frames.get(link["parent"], (np.zeros(3), np.eye(3)))
+        frames[i] = (position + rotation @ link["position"], rotation @ link["rotation"])
+        for mesh in link["meshes"]:
+            own = (frames[i][0] + frames[i][1] @ mesh["position"], frames[i][1] @ mesh["rotation"])
+            places[link["joint"]] = own
+    compared = 0
+    for digit in described.digits:
+        position, rotation = digit.position, digit.rotation
+        for i, mesh in enumerate(digit.meshes):
+            if i:
+                position = position + rotation @ np.array([digit.lengths[i - 1], 0.0, 0.0])
+                rotation = rotation @ digit.turns[i - 1]
+            if mesh:
+                expected_position, expected_rotation = places.pop(digit.joints[i])
+                found = origin + palm @ (position + rotation @ mesh.position)
+                assert found == pytest.approx(expected_position, abs=1e-9)
+                assert palm @ rotation @ mesh.rotation == pytest.approx(expected_rotation, abs=1e-9)
+                compared += 1
+    assert compared
+    assert not places
+
+
+def test_meshes_that_a_hand_cannot_have_are_told(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf = stranger_in(place)
+    meshes = urdf.parents[1] / "meshes"
+    (meshes / "base.stl").write_text("solid base\n" * 20)
+    (meshes / "proximal.stl").unlink()
+    assert main(["config", "init", "--yes", "--urdf", str(urdf), "--output", "mine.toml"]) == 0
+    lines = [
+        line for line in capsys.readouterr().out.splitlines() if line.startswith("warning: mesh ")
+    ]
+    assert lines[-1] == (
+        "warning: mesh base.stl of the palm is not taken over: an STL in text form; "
+        "expected a binary STL, which MuJoCo reads as well"
+    )
+    assert all("mesh proximal.stl of " in line and "no such file" in line for line in lines[:-1])
+    assert len(lines) > 1
+    assert "_mesh" not in Path("mine.toml").read_text()
+
+
+def test_the_largest_visual_mesh_of_a_body_is_taken_over_from_a_model(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_meshes(place)
+    (place / "small.stl").write_bytes(stl(0.5 * triangles()))
+    body = '<body name="{0}" pos="{1} 0 0"><joint name="{0}" axis="0 0 1" range="0 90"/>'
+    body += '<inertial pos="0.02 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
+    free = 'contype="0" conaffinity="0"'
+    Path("model.xml").write_text(
+        f"""<mujoco model="two"><compiler meshdir="sub"/>
+        <asset><mesh name="turned" file="mm.stl" scale="0.001 0.001 0.001" refpos="3 1 2" refquat="0.8 0 0.6 0"/>
+        <mesh name="small" file="../small.stl"/><mesh name="solid" file="../m.stl" scale="3 3 3"/></asset>
+        <worldbody>{body.format("a_j1", 0)}<geom type="mesh" mesh="small" {free}/>
+        <geom type="mesh" mesh="turned" pos="0.01 0 0.002" euler="0 40 10" {free}/><geom type="mesh" mesh="solid"/>
+        {body.format("a_j2", 0.04)}<geom type="mesh" mesh="solid" pos="0 0.01 0"/>
+        <site name="tip" pos="0.03 0 0"/></body></body></worldbody></mujoco>"""
+    )
+    assert main(["config", "init", "--yes", "--mjcf", "model.xml", "--output", "mine.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "warning: mesh small.stl of a_j1 is not taken over: a link has one mesh\n" in out
+    (digit,) = hand_content("mine.toml")["digit"]
+    assert digit["link_mesh"] == ["sub/mm.stl", "m.stl"]
+    assert digit["link_mesh_scale"] == [0.001, 3.0]
+    model = mujoco.MjModel.from_xml_path("model.xml")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for link, geom in ((0, 1), (1, 3)):
+        mesh = model.geom_dataid[geom]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        corners = model.mesh_vert[first : first + count] @ data.geom_xmat[geom].reshape(3, 3).T
+        expected = corners + data.geom_xpos[geom] - data.xanchor[link]
+        pose = [digit[f"link_mesh_{key}"][link] for key in ("position_m", "rpy_deg")]
+        shown = LinkMesh("", "", "", (digit["link_mesh_scale"][link],) * 3, *map(tuple, pose))
+        found = shown.place((1e3 if link == 0 else 1.0) * triangles())
+        assert_same_places({"": expected}, {"": found})

@@ -2,11 +2,16 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
+from handctl.hand.formats.mesh_file import mesh_triangles
+from handctl.hand.kinematics import joint_positions, link_rotations
 from handctl.hand.load import hand_from_content, load_hand
+from handctl.hand.meshes import PALM, meshes_of
+from handctl.hand.tree import HandTree
 from tools.meshes.solids import stl
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.02]])
@@ -79,3 +84,45 @@ def plain(name: str) -> Hand:
         {key: value for key, value in one.items() if "mesh" not in key} for one in content["digit"]
     ]
     return hand_from_content(content, name)
+
+
+def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the corners of the mesh of each body as MuJoCo places them, in the palm frame [m]."""
+    data = mujoco.MjData(model)
+    data.qpos[: len(q)] = q
+    mujoco.mj_kinematics(model, data)
+    found = {}
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+        mesh = model.geom_dataid[geom]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        corners = model.mesh_vert[first : first + count]
+        body = model.body(model.geom_bodyid[geom]).name
+        place = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        found[PALM if body == "world" else body] = place
+    return found
+
+
+def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the corners of each mesh by the kinematics of handctl, in the palm frame [m]."""
+    poses = {PALM: (np.zeros(3), np.eye(3))}
+    tree = HandTree.of(hand)
+    all_poses = tree.poses(q)
+    for digit in tree.digits:
+        own = all_poses[digit.joints]
+        for i, pose in enumerate(zip(joint_positions(own), link_rotations(own), strict=True)):
+            poses[f"{digit.name}_link{i + 1}"] = pose
+    found = {}
+    for mesh in meshes_of(hand):
+        position, rotation = poses[mesh.link]
+        content = (folder / mesh.file).read_bytes()
+        found[mesh.link] = mesh.place(mesh_triangles(content, mesh.suffix)) @ rotation.T + position
+    return found
+
+
+def assert_same_places(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+    """Compare sets of corners by link: each corner has one of the other set within a micrometre."""
+    assert found.keys() == expected.keys()
+    for link, corners in expected.items():
+        distance = np.linalg.norm(corners.reshape(-1, 1, 3) - found[link].reshape(1, -1, 3), axis=-1)
+        assert distance.min(axis=1).max() < 1e-6, link
+        assert distance.min(axis=0).max() < 1e-6, link

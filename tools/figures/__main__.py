@@ -25,9 +25,9 @@ PLOTS: dict[str, Callable[[Path], Any]] = {
 }  # fmt: skip
 PICTURES: dict[str, Callable[[Path], Path]] = {
     "run": runs.run_picture, "view": runs.view_picture, "gym-training": runs.training_picture,
-    "report": tuning.report_picture, "orca-like": tuning.pair_picture, "identify": tuning.identify_picture,
-    "tune-design": tuning.design_picture, "tune-return": tuning.return_picture, "tune-search": tuning.search_picture,
-    "tune-verify": tuning.verify_picture,
+    "report": tuning.report_picture, "orca-like": tuning.pair_picture, "meshes": tuning.mesh_picture,
+    "identify": tuning.identify_picture, "tune-design": tuning.design_picture, "tune-return": tuning.return_picture,
+    "tune-search": tuning.search_picture, "tune-verify": tuning.verify_picture,
 }  # fmt: skip
 
 

@@ -31,6 +31,10 @@ PAGE_SIZE = (1100, 2080)
 """Width and height of the picture of a report [pixels]."""
 
 
+HAND_VIEW = (2, 66, 638, 500)
+"""Left, upper, right and lower edge of the view of the hand in a picture of the dashboard [pixels]."""
+
+
 def call(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> None:
     """Execute a verb in a folder.
 
@@ -100,6 +104,20 @@ def pair_picture(folder: Path) -> Path:
     with empty_folder(folder, "orca_like") as path:
         call(path, "demo", "--lockstep", "--hand", "orca_like", "--seed", "0", "--log", "orca_like.mcap")
         return path / "orca_like.png"
+
+
+def mesh_picture(folder: Path) -> Path:
+    """Draw the view of a hand with meshes while it holds the object. A Vulkan driver is required."""
+    from PIL import Image
+
+    with empty_folder(folder, "meshes") as path:
+        call(path, "demo", "--lockstep", "--hand", "t42", "--seed", "0", "--log", "t42.mcap")
+        call(path, "view", "t42.mcap", "--picture", "meshes.png")
+        picture = path / "meshes.png"
+        with Image.open(picture) as dashboard:
+            part = dashboard.crop(HAND_VIEW)
+        part.save(picture)
+        return picture
 
 
 def find_browser() -> str | None:

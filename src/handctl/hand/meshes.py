@@ -11,6 +11,7 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.file.error_text import Mistake
+from handctl.hand.file.mesh_values import SUFFIXES
 from handctl.hand.formats.mesh_file import mesh_triangles
 from handctl.hand.link_bodies import rotation_rpy
 
@@ -96,12 +97,23 @@ def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[Mistake]:
     for mesh in meshes_of(hand):
         try:
             if mesh.file not in triangles:
-                triangles[mesh.file] = mesh_triangles(_read_file(folder / mesh.file), mesh.suffix)
+                triangles[mesh.file] = read_triangles(folder / mesh.file)
         except ValueError as error:
             what, _, right = str(error).partition("; expected ")
             yield Mistake(f'"{mesh.file}": {what}', mesh.key, right)
             continue
         yield from _size_mistakes(mesh, triangles[mesh.file])
+
+
+def read_triangles(path: Path) -> Array:
+    """Return the corners of all triangles of a mesh file, (n, 3, 3), in the unit of the file.
+
+    Raises:
+        ValueError: the file is missing, unreadable, too large, or no such mesh. The text says what is right.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"a file of type {path.suffix or 'unknown'}; expected {' or '.join(SUFFIXES)}")
+    return mesh_triangles(_read_file(path), path.suffix)
 
 
 def _read_file(path: Path) -> bytes:

@@ -2,9 +2,10 @@
 
 import argparse
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +24,9 @@ from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.imported_file import ANSWERS, Described, TendonAnswers, described_text, usable_tendons
 from handctl.hand.file.new_file import check_name, options_line
 from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED
-from handctl.hand.formats.model_tree import ModelLink, digits_of
+from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of
 from handctl.hand.load import inspect_content, parse_toml
+from handctl.hand.meshes import path_from, read_triangles
 from handctl.session.model_file import read_model_file
 
 ONLY_ASKED = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
@@ -51,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         if getattr(args, option) is not None:
             name = option.removesuffix("_mm")
             raise ConfigError(f"given, and so is --{kind}", f"--{name}", "one of them")
-    described, notes = read_described(args.urdf or args.mjcf, kind)
+    described, notes = read_described(args.urdf or args.mjcf, kind, args.output.parent)
     tendons, unread = usable_tendons(described)
     answers = TendonAnswers(**{name: getattr(args, name) for name in ANSWERS})
     if not args.yes:
@@ -78,12 +80,13 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def read_described(path: Path, kind: str) -> tuple[Described, list[str]]:
+def read_described(path: Path, kind: str, output: Path) -> tuple[Described, list[str]]:
     """Read a robot description.
 
     Args:
         path: the file.
         kind: ``urdf`` or ``mjcf``.
+        output: folder of the hand file, to which the paths of meshes are relative.
 
     Returns:
         The hand, and one line for each part of the file that was not read.
@@ -92,7 +95,10 @@ def read_described(path: Path, kind: str) -> tuple[Described, list[str]]:
         ConfigError: the file is unreadable, or describes no tree of hinges with inertia.
     """
     model = read_model_file(path, kind)
-    digits, palm = digits_of([ModelLink.of(link) for link in model["links"]], str(path))
+    notes = list(model["notes"])
+    links = [ModelLink.of(link, _mesh_of(link["name"], link["meshes"], output, notes)) for link in model["links"]]
+    digits, palm, origin = digits_of(links, str(path))
+    palm_mesh = _mesh_of("the palm", model["palm_meshes"], output, notes)
     gravity = model["gravity"]
     name = re.sub(r"\W+", "_", model["name"])
     described = Described(
@@ -102,8 +108,27 @@ def read_described(path: Path, kind: str) -> tuple[Described, list[str]]:
         palm=palm,
         digits=digits,
         tendons=model["tendons"],
+        palm_mesh=palm_mesh and palm_mesh.seen_from(palm, origin),
     )
-    return described, list(model["notes"])
+    return described, notes
+
+
+def _mesh_of(link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes: list[str]) -> ModelMesh | None:
+    """Return the largest mesh of a link that can be shown, None without, and add a line for each other one."""
+    sizes: dict[int, float] = {}
+    for i, mesh in enumerate(meshes):
+        try:
+            corners = read_triangles(Path(mesh["file"])) * np.abs(mesh["scale"])
+            sizes[i] = float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)))
+        except ValueError as error:
+            notes.append(f"mesh {Path(mesh['file']).name} of {link} is not taken over: {error}")
+    if not sizes:
+        return None
+    largest = max(sizes, key=sizes.__getitem__)
+    for i in sizes.keys() - {largest}:
+        notes.append(f"mesh {Path(meshes[i]['file']).name} of {link} is not taken over: a link has one mesh")
+    chosen = ModelMesh.of(meshes[largest])
+    return replace(chosen, file=path_from(Path(chosen.file), output))
 
 
 def _ask(answers: TendonAnswers, known: set[str]) -> TendonAnswers:

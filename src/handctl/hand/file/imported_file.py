@@ -11,7 +11,8 @@ from handctl.hand.file.error_text import first_sentence
 from handctl.hand.file.new_file import DRIVE_LIMIT_RATIO, FLOOR_N, MOTORS_PER_BUS, SENSOR_IDS, TRIP_RATIO
 from handctl.hand.file.quantities import UNMEASURED
 from handctl.hand.file.sections import Digit, Motor, Mount, Section, SensorNode, Tendon
-from handctl.hand.formats.model_tree import ModelDigit
+from handctl.hand.file.toml_text import quoted
+from handctl.hand.formats.model_tree import ModelDigit, ModelMesh
 from handctl.hand.link_bodies import rpy_of
 
 SMALLEST_ARM_M = 1e-4
@@ -85,6 +86,7 @@ class Described:
         palm: rotation of the palm frame in the root frame (3, 3).
         digits: digits, each after the digit that carries it.
         tendons: tables with ``name``, ``arms``, ``motor`` and ``tension_max``.
+        palm_mesh: mesh of the palm in its frame, None without.
     """
 
     source: str
@@ -93,6 +95,7 @@ class Described:
     palm: Array
     digits: tuple[ModelDigit, ...]
     tendons: Sequence[Mapping[str, Any]]
+    palm_mesh: ModelMesh | None = None
 
 
 @dataclass(frozen=True)
@@ -220,13 +223,14 @@ def _head(described: Described, answers: TendonAnswers, buses: int, can_fd: bool
     gravity = described.gravity
     mount = _todo(Mount, "gravity_m_s2") if gravity is None else _Line("gravity_m_s2", _numbers(gravity))
     rate = "bitrate = 1_000_000" + ("\ndata_bitrate = 5_000_000" if can_fd else "")
+    palm_mesh = "".join(f"{line}\n" for line in _palm_mesh_lines(described.palm_mesh))
     lines = "\n\n".join(f'[[bus]]\nname = "{_bus_name(bus)}"\n{rate}' for bus in range(buses))
     return (
         f"# From {described.source} by handctl config init. Each value {UNMEASURED!r} must be measured or\n"
         f"# chosen before the hand can run: handctl config check --hand FILE lists them.\n{turned}"
         f'schema = 2\nname = "{answers.name or described.name}"\n'
         f'description = "{len(described.digits)} digits, {joints} joints, from {described.source}"\n\n'
-        f"[mount]\n{mount}\n\n{lines}{_sensor_node(answers)}"
+        f"[mount]\n{mount}\n{palm_mesh}\n{lines}{_sensor_node(answers)}"
     )
 
 
@@ -291,7 +295,40 @@ def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_Line]:
         limits = [link.range[side] for link in links if link.range is not None]
         whole = len(limits) == len(links)
         lines.append(_Line(key, _numbers(np.degrees(limits))) if whole else _todo(Digit, key))
-    return [*lines, *_joint_lines(digit, answers)]
+    return [*lines, *_joint_lines(digit, answers), *_mesh_lines(digit.meshes)]
+
+
+def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_Line]:
+    """Yield the keys of the mesh of the palm, without those that have their default."""
+    if mesh is None:
+        return
+    yield _Line("palm_mesh", quoted(mesh.file))
+    if (mesh.scale != 1.0).any():
+        yield _Line("palm_mesh_scale", _scale(mesh.scale))
+    if np.abs(mesh.position).max() > ROUNDING:
+        yield _Line("palm_mesh_position_m", _numbers(mesh.position))
+    if np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING:
+        yield _Line("palm_mesh_rpy_deg", _degrees(mesh.rotation))
+
+
+def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_Line]:
+    """Yield the keys of the meshes of a digit, without those that have their default."""
+    if not any(meshes):
+        return
+    none = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
+    shown = [mesh or none for mesh in meshes]
+    yield _Line("link_mesh", f"[{', '.join(quoted(mesh.file) for mesh in shown)}]")
+    if any((mesh.scale != 1.0).any() for mesh in shown):
+        yield _Line("link_mesh_scale", f"[{', '.join(_scale(mesh.scale) for mesh in shown)}]")
+    if any(np.abs(mesh.position).max() > ROUNDING for mesh in shown):
+        yield _Line("link_mesh_position_m", _rows(mesh.position for mesh in shown))
+    if any(np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING for mesh in shown):
+        yield _Line("link_mesh_rpy_deg", f"[{', '.join(_degrees(mesh.rotation) for mesh in shown)}]")
+
+
+def _scale(scale: Array) -> str:
+    """Return a scale as one number if it is that along all axes."""
+    return _number(float(scale[0])) if scale[0] > 0.0 and not np.ptp(scale) else _numbers(scale)
 
 
 def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Line]:

@@ -42,7 +42,7 @@ def _value_text(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return _quoted(value)
+        return quoted(value)
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_key_text(key)} = {_value_text(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, list | tuple):
@@ -50,7 +50,7 @@ def _value_text(value: Any) -> str:
     return repr(value)
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
     """Return a basic string.
 
     Characters without a UTF-8 encoding are escaped as text, since TOML has no escape for them.
@@ -60,4 +60,4 @@ def _quoted(text: str) -> str:
 
 def _key_text(key: str) -> str:
     """Return a key, quoted if necessary."""
-    return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else _quoted(key)
+    return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else quoted(key)

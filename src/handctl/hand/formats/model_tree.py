@@ -7,7 +7,7 @@ it is.
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import Any
 
@@ -39,6 +39,37 @@ NUMBERED = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNORECA
 
 
 @dataclass(frozen=True, eq=False)
+class ModelMesh:
+    """Mesh on a link.
+
+    Attributes:
+        file: path of the file.
+        scale: factors from the unit of the file to metres (3,).
+        position: of its origin in the frame of the link (3,) [m].
+        rotation: to the frame of the link (3, 3).
+    """
+
+    file: str
+    scale: Array
+    position: Array
+    rotation: Array
+
+    @staticmethod
+    def of(values: Mapping[str, Any]) -> "ModelMesh":
+        """Build a mesh from plain values."""
+        return ModelMesh(
+            file=values["file"],
+            scale=np.array(values["scale"], dtype=float),
+            position=np.array(values["position"], dtype=float),
+            rotation=np.array(values["rotation"], dtype=float),
+        )
+
+    def seen_from(self, rotation: Array, origin: Array) -> "ModelMesh":
+        """Return the mesh in a frame with a rotation (3, 3) and an origin (3,) [m] in the present frame."""
+        return replace(self, position=rotation.T @ (self.position - origin), rotation=rotation.T @ self.rotation)
+
+
+@dataclass(frozen=True, eq=False)
 class ModelLink:
     """Link of a robot description with the joint before it. Its frame has its origin in the joint.
 
@@ -60,6 +91,7 @@ class ModelLink:
         frames: named frames on the link, (3,) each [m].
         points: corners of boxes around its shapes, (n, 3) [m].
         radius: half width of its shapes [m], None without shapes.
+        mesh: mesh that shows the link, None without.
     """
 
     name: str
@@ -79,10 +111,11 @@ class ModelLink:
     frames: Mapping[str, Array]
     points: Array
     radius: float | None
+    mesh: ModelMesh | None
 
     @staticmethod
-    def of(values: Mapping[str, Any]) -> "ModelLink":
-        """Build a link from plain values. A joint that flexes towards negative angles is turned around."""
+    def of(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
+        """Build a link from plain values and its mesh. A joint that flexes towards negative angles is turned around."""
         axis = np.array(values["axis"], dtype=float)
         rest = float(values["rest"])
         limits = None if values["range"] is None else (float(values["range"][0]), float(values["range"][1]))
@@ -108,6 +141,7 @@ class ModelLink:
             frames={name: np.array(place, dtype=float) for name, place in values["frames"].items()},
             points=np.array(values["points"], dtype=float).reshape(-1, 3),
             radius=values["radius"],
+            mesh=mesh,
         )
 
 
@@ -127,6 +161,7 @@ class ModelDigit:
         links: the links of the description.
         coms: centre of mass of each link (n, 3) [m].
         inertias: about the centre of mass (n, 3, 3) [kg m2].
+        meshes: mesh of each link, None without.
     """
 
     name: str
@@ -140,6 +175,7 @@ class ModelDigit:
     links: tuple[ModelLink, ...]
     coms: Array
     inertias: Array
+    meshes: tuple[ModelMesh | None, ...]
 
 
 @dataclass(frozen=True)
@@ -151,8 +187,8 @@ class _Chain:
     members: tuple[int, ...]
 
 
-def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit, ...], Array]:
-    """Return the digits of a tree of links, each after the digit that carries it, and the rotation of the palm.
+def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit, ...], Array, Array]:
+    """Return the digits of a tree of links, each after the digit that carries it, and the frame of the palm.
 
     The palm frame of the hand is the root frame, turned by right angles if the digits do not point along
     its x axis. The root frame is then shifted as well, so that no mount is before the plane x = 0.
@@ -162,7 +198,7 @@ def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit
         source: name of the description in messages.
 
     Returns:
-        The digits, and the rotation (3, 3) of the palm frame in the root frame.
+        The digits, and rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
 
     Raises:
         ConfigError: nothing tells where a digit ends.
@@ -191,9 +227,12 @@ def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit
                 links=tuple(bodies),
                 coms=np.array([turn.T @ link.com for turn, link in zip(own, bodies, strict=True)]),
                 inertias=np.array([turn.T @ link.inertia @ turn for turn, link in zip(own, bodies, strict=True)]),
+                meshes=tuple(
+                    link.mesh and link.mesh.seen_from(turn, np.zeros(3)) for turn, link in zip(own, bodies, strict=True)
+                ),
             )
         )
-    return tuple(digits), palm
+    return tuple(digits), palm, origin
 
 
 def _chains(links: Sequence[ModelLink]) -> Iterator[_Chain]:
