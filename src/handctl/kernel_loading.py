@@ -1,9 +1,10 @@
 """Loads the stored code of kernels without the parts of numba that only compilation needs.
 
-numba loads a stored function by two steps that take most of the time. It registers the types and functions that it
-can compile, and it parses the intermediate code (bitcode) from which other functions can inline this one. A program
-that finds all kernels in the folder compiles nothing, and needs neither. numba registers its types if it compiles
-later, and the bitcode of a kernel is parsed if another kernel calls it.
+numba loads a stored function by three steps that take most of the time. It registers the types and functions that it
+can compile. It imports the modules of its own functions that are parts of the stored one. It parses the intermediate
+code (bitcode) from which other functions can inline this one. A program that finds all kernels in the folder compiles
+nothing, and needs none of them. numba registers its types if it compiles later, and the bitcode of a kernel is parsed
+if another kernel calls it.
 
 These steps are internal to numba. They are left out for the versions in ``KNOWN`` alone.
 """
@@ -16,12 +17,14 @@ from typing import Any
 import numba
 from llvmlite import binding  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
 from numba.core import codegen as _codegen
+from numba.core import environment as _environment
 from numba.core import runtime as _runtime
 
 KNOWN = ((0, 68),)
 """Versions of numba for which these steps were left out in a test."""
 
 codegen: Any = _codegen
+environment: Any = _environment
 runtime: Any = _runtime
 """Internal modules of numba. They have no type information."""
 
@@ -52,17 +55,37 @@ def _without_compiler(context: Any) -> Iterator[None]:
     before = library.__dict__["_unserialize"]
     library._unserialize = classmethod(_load_object_code)
     rebuild = context.get_executable
+    rebuild_environment = environment._rebuild_env
     context.refresh = _do_nothing
     context.get_executable = partial(_get_executable, rebuild)
+    environment._rebuild_env = _without_module
     try:
         yield
     finally:
         del context.refresh, context.get_executable  # the methods of the class are visible again
+        environment._rebuild_env = rebuild_environment
         library._unserialize = before
 
 
 def _do_nothing() -> None:
     """Stand in for the registration of types."""
+
+
+def _without_module(module: str, constants: list[Any], name: str) -> Any:
+    """Return the constants of a function. numba also imports its module, of which only interpreted code uses variables.
+
+    Args:
+        module: name of the module.
+        constants: Python objects that the code refers to by number.
+        name: name under which the code finds them.
+    """
+    found = environment.lookup_environment(name)
+    if found is None:
+        found = environment.Environment({"__name__": module})
+        found.consts[:] = constants
+        found.env_name = name
+        environment.Environment._memo[name] = found
+    return found
 
 
 def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[bytes, bytes]]) -> Any:

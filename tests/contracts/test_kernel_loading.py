@@ -13,6 +13,7 @@ import sys
 from handctl import compiled, kernel_loading
 compiled.prepare()
 print("registered", "numba.np.arraymath" in sys.modules)
+print("imported", "numba.np.arrayobj" in sys.modules)
 print("loaded", compiled.square.stats.cache_hits != {}, compiled.square(3.0))
 from numba import njit
 square = compiled.square
@@ -31,12 +32,12 @@ def lines(code: str) -> list[str]:
 
 def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:
     compiled.prepare()
-    assert lines(CHECKS) == ["registered False", "loaded False 9.0", "linked 10.0"]
+    assert lines(CHECKS) == ["registered False", "imported False", "loaded False 9.0", "linked 10.0"]
 
 
 def test_other_versions_of_numba_load_in_their_own_way() -> None:
     compiled.prepare()
-    assert lines(UNKNOWN + CHECKS) == ["registered True", "loaded True 9.0", "linked 10.0"]
+    assert lines(UNKNOWN + CHECKS) == ["registered True", "imported True", "loaded True 9.0", "linked 10.0"]
 
 
 def test_the_installed_version_is_known() -> None:
