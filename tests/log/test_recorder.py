@@ -20,6 +20,8 @@ from handctl.core.types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.write import child
+from handctl.log.write.child import process_ahead
 from handctl.log.write.process import NICE
 from handctl.log.write.recorder import PIPE_BYTES, Recorder
 from handctl.log.write.syncer import Syncer
@@ -73,10 +75,38 @@ def test_a_recorder_that_does_not_start_in_time_is_named(
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
-    monkeypatch.setattr("handctl.log.write.recorder.sys.executable", str(python))
+    monkeypatch.setattr("handctl.log.write.child.sys.executable", str(python))
     monkeypatch.setattr("handctl.log.write.recorder.START_S", 0.2)
     with pytest.raises(LogError, match=r"has not started within 0\.2 s; expected a machine that does less"):
         start()
+
+
+def test_a_process_started_ahead_records_the_first_run(start: Callable[..., Recorder], tmp_path: Path) -> None:
+    with process_ahead():
+        (waiting,) = child._ahead
+        first = start("first.mcap")
+        second = start("second.mcap")
+        assert waiting.child.poll() is None
+    assert first._child is waiting.child
+    assert second._child is not waiting.child
+    for recorder in (first, second):
+        assert recorder.close("done")["complete"]
+
+
+def test_a_process_started_ahead_in_vain_is_ended() -> None:
+    with process_ahead():
+        (waiting,) = child._ahead
+    assert waiting.child.returncode is not None
+    assert child._ahead == []
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(waiting.pipe)
+
+
+def test_a_process_started_ahead_ends_with_its_controller() -> None:
+    code = "from handctl.log.write import child\nprint(child.start_process().child.pid)"
+    ended = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False)
+    recorder = Path(f"/proc/{ended.stdout.strip()}")
+    assert _until(lambda: not recorder.exists() or ") Z " in (recorder / "stat").read_text())
 
 
 def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:

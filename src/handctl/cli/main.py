@@ -15,7 +15,7 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any, NamedTuple
 
 from handctl.cli.console.ended import Terminated, install_excepthook, terminate_on_signals
@@ -95,6 +95,8 @@ VERBS = {name: text for group in GROUPS.values() for name, text in group.verbs.i
 """One line of help by verb."""
 FOLDERS = {folder: tuple(group.verbs) for folder, group in GROUPS.items()}
 """Verbs by the folder of their modules."""
+RECORDING = ("run", "commission", "demo")
+"""Verbs that record a run, unless they are dry."""
 VOLUME = {"-v", "--verbose", "-q", "--quiet"}
 """Options that are also allowed before the verb."""
 
@@ -243,9 +245,8 @@ def _run_verb(name: str, words: list[str]) -> int:
             options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
             print_detail(f"handctl {_version_text()} {name}: {options}")
         try:
-            with _without_collections():
-                module = importlib.import_module(f"handctl.cli.{_folder_of(name)}.{name}")
-            code: int = module.run(args)
+            with _recorder_ahead() if name in RECORDING and not args.dry_run else nullcontext():
+                code: int = _import_verb(name).run(args)
         except ModuleNotFoundError as error:
             if (missing := missing_extra(name, error)) is None:
                 raise
@@ -254,14 +255,31 @@ def _run_verb(name: str, words: list[str]) -> int:
     return code
 
 
+def _recorder_ahead() -> AbstractContextManager[None]:
+    """Start the process that will record, so that it imports while this process does."""
+    from handctl.log.write.child import process_ahead  # a verb without a run needs no subprocess
+
+    return process_ahead()
+
+
+def _import_verb(name: str) -> Any:
+    """Import the module of a verb."""
+    module = f"handctl.cli.{_folder_of(name)}.{name}"
+    if module in sys.modules:
+        return sys.modules[module]
+    with _without_collections():
+        return importlib.import_module(module)
+
+
 @contextmanager
 def _without_collections() -> Iterator[None]:
-    """Collect no garbage during imports, which make many objects that stay."""
+    """Collect no garbage during imports. They make many objects that stay, which later collections pass over."""
     enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
+        gc.freeze()
         if enabled:
             gc.enable()
 

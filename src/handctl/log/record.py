@@ -54,6 +54,8 @@ END = 3
 """Kind of the record with the reason of the end, as JSON."""
 SNAPSHOT = 4
 """Kind of the record with the state after a tick."""
+FILE = 5
+"""Kind of the record before the header: path of the log, and free space at which it ends early [bytes], as JSON."""
 SNAPSHOT_HEAD = struct.Struct("<qq")
 """Layout of the start of a snapshot record: number and time [ns] of the tick before the state."""
 

@@ -2,7 +2,7 @@
 
 The process ends when its input ends.
 
-Command: `python -m handctl.log.write.process PATH FLOOR_BYTES`.
+Command: `python -m handctl.log.write.process`. The first record names the file.
 
 The recorder ignores SIGINT and SIGTERM because the controller decides the end of a run. If the
 controller dies, the pipe is closed.
@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.log.header import RunHeader
-from handctl.log.record import END, FRAMING, HEADER, SNAPSHOT, TICK
+from handctl.log.record import END, FILE, FRAMING, HEADER, SNAPSHOT, TICK
 from handctl.log.write.syncer import Syncer
 from handctl.log.write.writer import LogWriter
 
@@ -85,12 +85,16 @@ class Splitter:
 
 
 class RecorderSession:
-    """Session of the recorder for one run, from the first record to the end of the input."""
+    """Session of the recorder for one run, from the first record to the end of the input.
 
-    def __init__(self, path: Path, floor_bytes: int) -> None:
-        """Set the path of the log, and the free space at which the log is finished early [bytes]."""
-        self._path = path
-        self._floor = floor_bytes
+    Attributes:
+        path: path of the log.
+    """
+
+    def __init__(self) -> None:
+        """Start without a file."""
+        self.path = Path()
+        self._floor = 0
         self._splitter = Splitter()
         self._writer: LogWriter | None = None
         self._wall_flush = True
@@ -129,10 +133,14 @@ class RecorderSession:
             self._writer.add(body)
         elif kind == SNAPSHOT and self._writer:
             self._writer.add_snapshot(body)
+        elif kind == FILE:
+            file = json.loads(body)
+            self.path = Path(file["path"])
+            self._floor = int(file["floor_bytes"])
         elif kind == HEADER:
             header = RunHeader.load(body)
             self._wall_flush = not header.deterministic
-            self._writer = LogWriter(self._path, header, report_event, self._floor, to_disk=Syncer())
+            self._writer = LogWriter(self.path, header, report_event, self._floor, to_disk=Syncer())
             send_note({"ready": True})
         elif kind == END:
             end = json.loads(body)
@@ -148,11 +156,11 @@ def main() -> int:
     os.set_blocking(1, False)
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, NICE)
-    session = RecorderSession(Path(sys.argv[1]), int(sys.argv[2]))
+    session = RecorderSession()
     try:
         session.run()
     except OSError as error:
-        send_note({"error": f"{error.strerror}: {error.filename or sys.argv[1]}"})
+        send_note({"error": f"{error.strerror}: {error.filename or session.path}"})
         return 1
     return 0
 

@@ -6,7 +6,6 @@ import os
 import select
 import struct
 import subprocess
-import sys
 import termios
 import time
 from contextlib import suppress
@@ -16,7 +15,8 @@ from typing import Self
 from handctl.core.types import IoEvent
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
-from handctl.log.record import END, HEADER, record_bytes
+from handctl.log.record import END, FILE, HEADER, record_bytes
+from handctl.log.write.child import RecorderProcess, take_process
 
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Sizes to request for the pipe, in order of preference [bytes].
@@ -52,22 +52,21 @@ class Recorder:
         dropped: number of records lost because the pipe was full or the recorder had ended.
     """
 
-    def __init__(self, path: Path, child: subprocess.Popen[bytes], pipe: int, lossless: bool) -> None:
+    def __init__(self, path: Path, process: RecorderProcess, lossless: bool) -> None:
         """Connect to a recorder process.
 
         Args:
             path: path of the log file.
-            child: recorder process.
-            pipe: file descriptor for the records.
+            process: recorder process.
             lossless: True to wait for the recorder instead of dropping records.
         """
-        assert child.stdout is not None
+        assert process.child.stdout is not None
         self._path = path
-        self._child = child
-        self._pipe = pipe
-        self._notes = child.stdout.fileno()
+        self._process = process
+        self._child, self._pipe = process
+        self._notes = process.child.stdout.fileno()
         self._lossless = lossless
-        self._size = _enlarge_pipe(pipe)
+        self._size = _enlarge_pipe(self._pipe)
         self._rest = b""
         self._line = b""
         self._ended = self._end_reported = self._filling = False
@@ -79,7 +78,7 @@ class Recorder:
 
     @classmethod
     def start(cls, path: Path, header: RunHeader, floor_bytes: int = FLOOR_BYTES) -> Self:
-        """Start the recorder process, and wait until it has written the header into the file.
+        """Start a recorder process or take the one started ahead, and wait until the header is in the file.
 
         Args:
             path: path of the new log file.
@@ -89,22 +88,9 @@ class Recorder:
         Raises:
             LogError: the file cannot be created, or the process does not answer.
         """
-        reading, writing = os.pipe()
-        # `-P` keeps the working directory out of the import path.
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            "handctl.log.write.process",
-            str(path),
-            str(floor_bytes),
-        ]
-        try:
-            child = subprocess.Popen(command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True)
-        finally:
-            os.close(reading)
-        recorder = cls(path, child, writing, header.deterministic)
-        recorder._send_header(record_bytes(HEADER, header.dump()))
+        recorder = cls(path, take_process(), header.deterministic)
+        file = json.dumps({"path": str(path), "floor_bytes": floor_bytes}).encode()
+        recorder._send_header(record_bytes(FILE, file) + record_bytes(HEADER, header.dump()))
         return recorder
 
     def _send_header(self, header: bytes) -> None:
@@ -128,10 +114,7 @@ class Recorder:
     def _abandon_process(self) -> None:
         """End a recorder process that did not start properly."""
         self._ended = True
-        os.close(self._pipe)
-        self._child.kill()
-        self._child.wait()
-        self._close_notes()
+        self._process.end()
 
     def _close_notes(self) -> None:
         """Close the pipe for the notes."""
