@@ -5,11 +5,11 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
-from pydantic.fields import FieldInfo
 
 from handctl.core.gains.bounds import SECTIONS, SHARED_KEYS, TENDON_SECTION, bound_of, bounds
 from handctl.core.gains.gains import Gains, TendonForces
 from handctl.hand.description import Hand
+from handctl.hand.file.descriptions import key_description
 from handctl.programs.requests import CommandBase, Request
 from tools.reference.markdown import code, prose, table
 
@@ -41,20 +41,21 @@ def hand_file() -> str:
 
 def _keys(model: type[BaseModel], section: str) -> str:
     """Return a table of the keys of a model."""
-    rows = [(code(field.alias or name), *_row(field, f"{section}.{field.alias or name}"))
+    rows = [(code(field.alias or name), *_row(model, name, f"{section}.{field.alias or name}"))
             for name, field in model.model_fields.items()]  # fmt: skip
     return table(("key", "value", "required", "meaning"), rows)
 
 
-def _row(field: FieldInfo, key: str) -> tuple[str, str, str]:
+def _row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
     """Return value, necessity and meaning of a key.
 
     Raises:
         KeyError: the key has no meaning here and in its model.
     """
+    field = model.model_fields[name]
     required = "yes" if field.is_required() and key not in MAY_BE_ABSENT else "no"
     annotation = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
-    return VALUES.get(key) or value_text(annotation), required, prose(field.description) or MEANINGS[key]
+    return VALUES.get(key) or value_text(annotation), required, prose(key_description(model, name)) or MEANINGS[key]
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
@@ -143,7 +144,8 @@ def _fields(model: type[BaseModel], do: str) -> Iterable[tuple[str, str, str, st
         if name == "do" or name in CommandBase.model_fields:
             continue
         default = "required" if field.is_required() else str(field.default).removesuffix(".0")
-        yield code(name), _bounds_text(schema[name]), default, prose(field.description) or MEANINGS[f"{do}.{name}"]
+        meaning = prose(key_description(model, name)) or MEANINGS[f"{do}.{name}"]
+        yield code(name), _bounds_text(schema[name]), default, meaning
 
 
 def _bounds_text(schema: dict[str, Any]) -> str:

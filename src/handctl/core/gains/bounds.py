@@ -10,6 +10,7 @@ from annotated_types import Ge, Gt, Le
 from handctl.core.gains.gains import Gains, TendonForces
 from handctl.document import Document, validate_content
 from handctl.errors import ConfigError
+from handctl.hand.file.descriptions import key_description
 from handctl.printing import similar_name
 
 SECTIONS = ("filter", "motion", "tension", "contact")
@@ -86,7 +87,7 @@ def bounds() -> Mapping[str, Bound]:
             low, high, open_low = _range_of_field(field.metadata)
             key = f"{section}.{name}"
             whole = field.annotation is int
-            why = field.description or ""
+            why = key_description(model, name)
             result[key] = Bound(key, low, high, open_low, field.default, whole, section in LIVE_SECTIONS, why)
     return result
 
@@ -112,7 +113,7 @@ def bound_of(key: str) -> Bound | None:
     parts = tendon_key(key)
     if parts is None:
         return bounds().get(key)
-    why = TendonForces.model_fields[parts.field].description or ""
+    why = key_description(TendonForces, parts.field)
     return replace(bounds()[parts.shared], key=key, why=why)
 
 

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
 
 from handctl.errors import ConfigError
+from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.quantities import UNMEASURED
 from handctl.printing import similar_name
 
@@ -84,17 +84,25 @@ def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel
     if field is None:
         return "a value"
     form = "a value"
-    if len(location) == 1 and _models_in(field.annotation):
+    annotation = field.model.model_fields[field.name].annotation
+    if len(location) == 1 and _models_in(annotation):
         name = location[0]
-        is_list = not isinstance(field.annotation, type)
+        is_list = not isinstance(annotation, type)
         form = f"[[{name}]] sections" if is_list else f"a section [{name}]"
         form += f", or {name}.NAME in each digit" if name in WITHIN_DIGITS else ""
     return form + _meaning(field)
 
 
-def _meaning(field: FieldInfo | None) -> str:
+class _Field(NamedTuple):
+    """Field of a model, by the name of its attribute."""
+
+    model: type[BaseModel]
+    name: str
+
+
+def _meaning(field: _Field | None) -> str:
     """Return the first sentence of the description of a key after a colon, empty without a description."""
-    text = first_sentence((field.description if field else None) or "")
+    text = first_sentence(key_description(*field)) if field else ""
     return f": {text}" if text else ""
 
 
@@ -103,7 +111,7 @@ def first_sentence(description: str) -> str:
     return " ".join(re.split(r"\.\s", description, maxsplit=1)[0].rstrip(".").replace("``", "").split())
 
 
-def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> FieldInfo | None:
+def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _Field | None:
     """Return the field of a key, None for a key without one, such as an entry of a list."""
     *tables, key = location
     for part in tables:
@@ -112,7 +120,8 @@ def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> Fiel
             if not models:
                 return None
             model = models[0]
-    return next((field for name, field in model.model_fields.items() if key in (name, field.alias)), None)
+    fields = model.model_fields.items()
+    return next((_Field(model, name) for name, field in fields if key in (name, field.alias)), None)
 
 
 def _unknown_key_mistake(location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]) -> Mistake:

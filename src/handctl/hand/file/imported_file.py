@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from handctl.hand.digit import Array
+from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.error_text import first_sentence
 from handctl.hand.file.new_file import DRIVE_LIMIT_RATIO, FLOOR_N, MOTORS_PER_BUS, SENSOR_IDS, TRIP_RATIO
 from handctl.hand.file.quantities import UNMEASURED
@@ -419,7 +420,7 @@ def _todo(section: type[Section], key: str) -> _Line:
 
 def _meaning(section: type[Section], key: str) -> str:
     """Return the first sentence of the description of a key."""
-    return first_sentence(section.model_fields[key].description or "")
+    return first_sentence(key_description(section, key))
 
 
 def _section(name: str, lines: Iterable[_Line]) -> str:

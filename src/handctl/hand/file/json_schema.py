@@ -5,6 +5,7 @@ from copy import deepcopy
 from typing import Any
 
 from handctl.hand.description import Hand
+from handctl.hand.file.descriptions import DescribedSchema
 from handctl.hand.file.templates import (
     DIGIT_KINDS,
     KEYS_ONE_FOR_ALL_LINKS,
@@ -29,7 +30,7 @@ def hand_schema() -> dict[str, Any]:
     Every key of a digit, tendon or motor is optional for an editor, because a default or template can
     have it. ``handctl config check`` finds what is missing.
     """
-    schema = Hand.model_json_schema(by_alias=True)
+    schema = Hand.model_json_schema(by_alias=True, schema_generator=DescribedSchema)
     definitions = schema["definitions"] = schema.pop("$defs")
     for kind, name in DEFINITIONS.items():
         definition = definitions[name]

@@ -12,7 +12,7 @@ from handctl.hand.file import quantities as qty
 class Section(BaseModel):
     """Table of the file: frozen, without unknown keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Mount(Section):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.error_text import Mistake, first_sentence
 from handctl.hand.file.sections import CIA404, CIA404_KEYS, HANDCTL_NODE, HANDCTL_NODE_KEYS, SensorNode
 
@@ -36,7 +37,7 @@ def check_sensor_node(hand: Hand) -> Iterator[Mistake]:
         return
     for key in ("sync_id", *HANDCTL_NODE_KEYS):
         if key not in node.model_fields_set:
-            meaning = first_sentence(SensorNode.model_fields[key].description or "")
+            meaning = first_sentence(key_description(SensorNode, key))
             yield Mistake("missing", f"sensor_node.{key}", f"a value: {meaning}")
 
 

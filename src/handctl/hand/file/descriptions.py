@@ -1,0 +1,71 @@
+"""Descriptions of the keys of files, which are the docstrings after the fields of their models.
+
+pydantic can store them in the fields while it builds a model (``use_attribute_docstrings``). It then parses the source
+of every model in every process. Here the source is parsed when a description is needed.
+"""
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterator, Mapping
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+
+def key_description(model: type[BaseModel], field: str) -> str:
+    """Return the description of a field, empty without one.
+
+    Args:
+        model: model that has the field.
+        field: name of the attribute, which may differ from the key in the file.
+    """
+    return field_docstrings(model).get(field, "")
+
+
+@cache
+def field_docstrings(model: type[BaseModel]) -> Mapping[str, str]:
+    """Return the docstrings of the fields of a model and of its base classes, by the name of the attribute."""
+    found: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if issubclass(base, BaseModel) and base is not BaseModel:
+            found |= _docstrings_in(base)
+    return {name: text for name, text in found.items() if name in model.model_fields}
+
+
+def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
+    """Return the docstrings in the body of a class, empty where its source is not installed."""
+    try:
+        source = inspect.getsource(model)
+    except OSError:
+        return {}
+    (definition,) = ast.parse(textwrap.dedent(source)).body
+    assert isinstance(definition, ast.ClassDef)
+    return dict(_documented(definition.body))
+
+
+def _documented(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
+    """Yield name and docstring of each attribute that a string follows."""
+    for statement, following in pairwise(body):
+        match statement, following:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                yield name, inspect.cleandoc(text)
+
+
+class DescribedSchema(GenerateJsonSchema):
+    """Generator of a JSON Schema with the description of each key."""
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
+        """Return the JSON Schema of a model."""
+        result = super().model_schema(schema)
+        model: type[BaseModel] = schema["cls"]
+        properties: dict[str, Any] = result.get("properties", {})
+        for name, text in field_docstrings(model).items():
+            key = (model.model_fields[name].alias or name) if self.by_alias else name
+            if key in properties:
+                properties[key]["description"] = text
+        return result
