@@ -52,6 +52,8 @@ POLL_S = 0.1
 
 _KERNELS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 """Name of each kernel to its dispatcher and the types of its arguments."""
+_INNER: list[Any] = []
+"""Dispatchers of all functions that only kernels call."""
 MARKED: list[Callable[..., Any]] = []
 """All compiled functions in their Python form."""
 _TYPES = {
@@ -93,16 +95,20 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
 def inner(function: F) -> F:
     """Mark a function that only kernels call. It becomes a part of them, and Python cannot call its compiled form."""
-    return _marked(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    MARKED.append(function)
+    options: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    dispatcher: Any = njit(error_model="numpy", **options)(function)
+    _INNER.append(dispatcher)
+    return cast(F, dispatcher)
 
 
-def _marked(function: F, **options: Any) -> F:
+def _marked(function: F) -> F:
     MARKED.append(function)
     with _cached_in(_FOLDER):
         try:
-            dispatcher: Any = njit(cache=_FOLDER is not None, error_model="numpy", **options)(function)
+            dispatcher: Any = njit(cache=_FOLDER is not None, error_model="numpy")(function)
         except RuntimeError:  # numba cannot write into the folder
-            dispatcher = njit(error_model="numpy", **options)(function)
+            dispatcher = njit(error_model="numpy")(function)
     return cast(F, dispatcher)
 
 
@@ -272,6 +278,9 @@ def _compile_together(folder: Path, waiting: Sequence[_Waiting], report: Callabl
             time.sleep(POLL_S)
         if _compiled_count(folder, waiting) == len(waiting):
             return
+        with _cached_in(folder):  # only kernels that are compiled need the code of their parts
+            for part in _INNER:
+                part.enable_caching()
         todo, giving = os.pipe()
         os.write(giving, bytes(order))  # a byte is the number of a kernel: the worker that reads it compiles it
         os.close(giving)

@@ -44,11 +44,13 @@ def test_help_imports_no_heavy_library() -> None:
 
 
 def test_a_run_starts_without_packages_that_it_does_not_use() -> None:
-    names = ("filterpy.kalman", "control", "matplotlib", *(f"scipy.{part}" for part in UNUSED))
+    others = ("control", "matplotlib", "numpy.f2py", "numpy.testing")
+    names = ("filterpy.kalman", *others, *(f"scipy.{part}" for part in UNUSED))
     code = "import sys\nfrom handctl.cli.main import main\nmain(['demo', '--lockstep', '--dry-run'])\n"
     code += f"print([name for name in {names} if name in sys.modules])\n"
     code += "from control import dlqr\nfrom scipy.signal import find_peaks_cwt\nimport numpy as np\n"
     code += "print(dlqr(np.eye(1), np.eye(1), np.eye(1), np.eye(1))[0].size)\n"
-    code += "print(find_peaks_cwt(np.sin(np.arange(0.0, 9.0, 0.05)), [20]).size)"
+    code += "print(find_peaks_cwt(np.sin(np.arange(0.0, 9.0, 0.05)), [20]).size)\n"
+    code += "np.testing.assert_allclose(1.0, 1.0)\nprint(np.f2py.__name__)"
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert ran.stdout.splitlines()[-3:] == ["['filterpy.kalman']", "1", "2"]
+    assert ran.stdout.splitlines()[-4:] == ["['filterpy.kalman']", "1", "2", "numpy.f2py"]

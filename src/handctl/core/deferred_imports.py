@@ -1,7 +1,7 @@
-"""Import of filterpy and control without those of their packages' imports that handctl never uses.
+"""Import of scipy, filterpy and control without those of their packages' imports that handctl never uses.
 
-``scipy.stats``, ``scipy.ndimage`` and the plots of control take longer than all other imports of a run. Each is put
-off until a function of it is used.
+``scipy.stats``, ``scipy.ndimage`` and the plots of control take longer than all other imports of a run. Half of the
+import of ``scipy.linalg`` is for a Fortran compiler and test functions. Each is put off until a function of it is used.
 """
 
 import importlib
@@ -12,8 +12,8 @@ from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import Any
 
-UNUSED = ("scipy.stats", "scipy.ndimage")
-"""Modules that filterpy imports for functions that handctl does not call."""
+UNUSED = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
+"""Modules that filterpy or scipy import for functions that handctl does not call."""
 
 
 class _Deferred:
@@ -48,14 +48,18 @@ class _StandIn(ModuleType):
 
 @contextmanager
 def deferred_imports() -> Iterator[None]:
-    """Stand in for the modules of ``UNUSED`` during an import."""
-    replaced = [name for name in UNUSED if name not in sys.modules]
-    sys.modules.update({name: _StandIn(name) for name in replaced})
+    """Stand in for the modules of ``UNUSED`` during an import, also as attributes of their packages."""
+    replaced = [name.rpartition(".") for name in UNUSED if name not in sys.modules]
+    places = [(importlib.import_module(package), part) for package, _, part in replaced]
+    for package, part in places:
+        sys.modules[f"{package.__name__}.{part}"] = stand_in = _StandIn(f"{package.__name__}.{part}")
+        setattr(package, part, stand_in)
     try:
         yield
     finally:
-        for name in replaced:
-            del sys.modules[name]
+        for package, part in places:
+            del sys.modules[f"{package.__name__}.{part}"]
+            delattr(package, part)
 
 
 def import_without_package(name: str) -> ModuleType:

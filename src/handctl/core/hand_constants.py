@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, null_space
 
 from handctl.core import constants as h
 from handctl.core.constants import ELEMENTS, HAND, KINDS
+from handctl.core.deferred_imports import deferred_imports
 from handctl.core.detectors.residuals import TIME_CONSTANTS_S
 from handctl.core.estimation import contact, posture, touch
 from handctl.core.estimation.filter_stack import Block as FilterBlock
@@ -20,6 +20,9 @@ from handctl.core.schema import Block, Layout
 from handctl.core.types import Vector
 from handctl.drives.sensors.node import JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
+
+with deferred_imports():
+    from scipy.linalg import block_diag, null_space
 
 MIN_MOTION = 1e-9
 """Smallest relevant entry of the excursion matrix, as a fraction of the largest.

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
+from handctl.core.deferred_imports import deferred_imports
 from handctl.core.estimation.filter_stack import FilterDesign
 from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import Gains
@@ -19,6 +19,9 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import Values
 from handctl.hand.dynamics import DigitModel, required_torque
 from handctl.hand.tree import HandTree
+
+with deferred_imports():
+    from scipy.linalg import block_diag
 
 BLIND_SIGMAS = 2.0
 """Margin of the limits of a tendon without load cell, in standard deviations of its estimated tension."""

@@ -18,8 +18,8 @@ from ``control``.
 import math
 
 import numpy as np
-from scipy.linalg import expm
 
+from handctl.core.deferred_imports import deferred_imports
 from handctl.core.estimation.filter_stack import (
     INPUTS,
     MEASUREMENTS,
@@ -40,6 +40,9 @@ from handctl.core.gains.gains import FilterGains
 from handctl.core.gains.riccati import solve_covariance
 from handctl.core.gains.solvable import finite_or_error, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
+
+with deferred_imports():
+    from scipy.linalg import expm
 
 FORGET_S = 1e4
 """Time constant of forgetting stretch offset and excursion of a held digit, for a solution of the Riccati equation [s].

@@ -4,12 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.deferred_imports import import_without_package
+from handctl.core.deferred_imports import deferred_imports, import_without_package
 from handctl.core.types import Vector
 
 # control.dlqr and control.dlqe end in this solver. The package around it imports matplotlib and scipy.signal, which
 # takes longer than the design.
-_mateqn: Any = import_without_package("control.mateqn")
+with deferred_imports():
+    _mateqn: Any = import_without_package("control.mateqn")
 
 
 def solve_lqr(F: Vector, G: Vector, Q: Vector, R: Vector) -> Vector:
