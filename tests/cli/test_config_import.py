@@ -12,6 +12,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text
+from handctl.hand.formats.meshes import with_meshes_from
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
 from handctl.hand.load import (
     hand_content,
@@ -21,7 +22,6 @@ from handctl.hand.load import (
     load_hand,
     packaged_hands,
 )
-from handctl.hand.meshes import with_meshes_from
 from handctl.hand.tree import HandTree
 from tests.cli.refused import refused, refused_lines
 from tests.conftest import NIGHTLY

@@ -12,6 +12,7 @@ from firmware_sim.model_file import read_model_file
 from handctl.cli.checks.config_import import read_described
 from handctl.cli.main import main
 from handctl.cli.runs.other_protocol import hand_in_protocol
+from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, meshes_of
 from handctl.hand.load import (
     PACKAGED_HANDS_FOLDER,
     hand_content,
@@ -19,7 +20,6 @@ from handctl.hand.load import (
     load_hand,
     packaged_hands,
 )
-from handctl.hand.meshes import LinkMesh, mesh_mistakes, meshes_of
 from handctl.log.attached_meshes import MAX_BYTES
 from handctl.session.plan import Choice, make_plan
 from tests.cli.refused import refused, refused_lines

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
 from handctl.hand.formats.mesh_file import mesh_triangles
+from handctl.hand.formats.meshes import PALM, meshes_of
 from handctl.hand.kinematics import joint_positions, link_rotations
 from handctl.hand.load import hand_from_content, load_hand
-from handctl.hand.meshes import PALM, meshes_of
 from handctl.hand.tree import HandTree
 from tools.meshes.solids import stl
 

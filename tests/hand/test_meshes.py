@@ -14,10 +14,10 @@ from firmware_sim.scene.scene import load_scene
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema
 from handctl.hand.formats.mesh_file import mesh_triangles
+from handctl.hand.formats.meshes import PALM, exported_meshes, mesh_mistakes, meshes_of, with_meshes_from
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands, parse_toml
-from handctl.hand.meshes import PALM, exported_meshes, mesh_mistakes, meshes_of, with_meshes_from
 from tests.hand.mesh_files import (
     assert_same_places,
     corners_by_link,

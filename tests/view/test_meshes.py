@@ -8,9 +8,9 @@ import synthetic
 from rrd_entities import Entity, of_file, run_info_of
 
 from handctl.cli.main import main
+from handctl.hand.formats.meshes import meshes_of
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.link_frames import quaternion
-from handctl.hand.meshes import meshes_of
 from handctl.log.attached_meshes import mesh_attachments
 from handctl.log.header import RunHeader
 from handctl.view.feed import write_rrd

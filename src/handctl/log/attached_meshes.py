@@ -7,7 +7,7 @@ from pathlib import Path
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.meshes import LinkMesh, mesh_mistakes, mesh_sizes, meshes_of, read_meshes
+from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, mesh_sizes, meshes_of, read_meshes
 
 MAX_BYTES = 4 << 20
 """Largest total size of the mesh files of a hand in its log [bytes]."""

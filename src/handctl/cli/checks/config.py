@@ -20,6 +20,7 @@ from handctl.hand.description import Hand
 from handctl.hand.file.error_text import SECTION_PATTERN, Mistake, group_mistakes, with_paths_of_file
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.templates import RESOLVED_SCHEMA
+from handctl.hand.formats.meshes import exported_meshes, mesh_mistakes
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import (
@@ -31,7 +32,6 @@ from handctl.hand.load import (
     parse_toml,
     read_toml,
 )
-from handctl.hand.meshes import exported_meshes, mesh_mistakes
 from handctl.hand.readiness import table_fits
 from handctl.hand.strength import strength_warnings
 from handctl.output import FIGURE_SUFFIXES, check_output, path_with_suffix, write_text_atomically

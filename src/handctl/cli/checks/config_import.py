@@ -24,9 +24,9 @@ from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.imported_file import ANSWERS, Described, TendonAnswers, described_text, usable_tendons
 from handctl.hand.file.new_file import check_name, options_line
 from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED
+from handctl.hand.formats.meshes import path_from, read_triangles
 from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of
 from handctl.hand.load import inspect_content, parse_toml
-from handctl.hand.meshes import path_from, read_triangles
 from handctl.session.model_file import read_model_file
 
 ONLY_ASKED = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")

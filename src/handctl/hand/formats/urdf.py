@@ -12,9 +12,9 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.file.sections import Digit
+from handctl.hand.formats.meshes import LinkMesh
 from handctl.hand.formats.numbers import number_text, numbers_text
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rpy_of
-from handctl.hand.meshes import LinkMesh
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Row and column of each value of URDF's inertia."""
