@@ -19,8 +19,8 @@ def section(result: dict[str, Any]) -> str:
     parts += [
         "`python benchmarks/control.py --parts force --page` writes this section. The digits hold a cylinder "
         "with 15 N per tendon. The command then steps to 40 N (limited to 5000 N/s) and back to 15 N. The "
-        "error is the true tension at the load cell minus the command during both steps, as a mean over all "
-        "tendons in contact and all seeds.",
+        "error is the true tension at the load cell minus the command, during both steps. The table shows means "
+        "over all seeds and all tendons whose digit touches the cylinder.",
         "",
         "In the row *set-point alone* there is no feedback: the motor makes the commanded force. The two rows"
         " with a loop use the same gains, which were not tuned for this test. *overshoot* is the largest "

@@ -19,7 +19,7 @@ class Stage:
     Attributes:
         down: unit vector of gravity in the palm frame, None to keep the direction.
         turn: duration of the turn [s].
-        duration: time after the turn [s].
+        duration: duration of the rest of the stage, after the turn [s].
         push: force at the object's centre [N].
         push_at: start of the push after the turn [s].
         push_duration: duration of the push [s].

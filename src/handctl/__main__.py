@@ -1,4 +1,4 @@
-"""Run the command line as `python -m handctl`, where no script folder is on the path."""
+"""Run the command line as `python -m handctl`, for a machine without the `handctl` script on its PATH."""
 
 import sys
 

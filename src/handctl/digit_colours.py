@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 NAMED = ("index", "middle", "ring", "thumb")
-"""Digits with a colour of their own: the first colours of each palette."""
+"""Names of digits with a fixed colour. Their order is the order of the colours in each palette."""
 
 
 def colour_numbers(digit_names: Sequence[str]) -> tuple[int, ...]:

@@ -77,7 +77,7 @@ def _without_module(module: str, constants: list[Any], name: str) -> Any:
     Args:
         module: name of the module.
         constants: Python objects that the code refers to by number.
-        name: name under which the code finds them.
+        name: name under which the code finds the constants.
     """
     found = environment.lookup_environment(name)
     if found is None:

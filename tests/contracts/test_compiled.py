@@ -257,7 +257,7 @@ def is_source(module: str) -> bool:
 
 
 def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
-    """Check that no other file can change a kernel without a new folder."""
+    """Check that the cache folder depends on every module with code of a kernel."""
     kernels = [function for function in MARKED if function.__module__.startswith("handctl.")]
     assert len(kernels) > 100
     origins = Origins()

@@ -83,19 +83,21 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``config init``. Each option answers a question about the new hand."""
     output_option(parser, "a new hand file", required=True)
     source = parser.add_mutually_exclusive_group()
-    text = "take links, joints and inertia from {}; what tendons need is asked, or marked 'TODO' in the file"
+    text = "take links, joints and inertia from {}; questions ask for the tendons, or the file marks them as 'TODO'"
     source.add_argument("--urdf", type=Path, metavar="FILE", help=text.format("a robot description"))
     source.add_argument("--mjcf", type=Path, metavar="FILE", help=text.format("a model of MuJoCo, and its moment arms"))
     add = parser.add_argument
-    add("--yes", action="store_true", help="ask nothing: take the defaults (or 'TODO') where no option answers")
+    add("--yes", action="store_true", help="do not ask: options that are not given have their default, or 'TODO'")
     add("--name", help="name of the hand (default: mine)")
     add("--fingers", type=int, metavar="N", help="digits on one side (default: 2)")
-    add("--opposed", type=int, metavar="N", help="digits that close against them (default: 1)")
+    add("--opposed", type=int, metavar="N", help="digits on the other side, which close against them (default: 1)")
     add("--links", type=_lengths, dest="links_mm", metavar="MM,MM", help="length of each link (default: 40,30)")
     add("--width", type=float, dest="width_mm", metavar="MM", help="width of the links (default: 12)")
-    add("--palm", type=float, dest="palm_mm", metavar="MM", help="distance between the sides (default: by the links)")
-    add("--tendons", choices=("one", "each"), help="one per digit, or one for each joint (default: one)")
-    add("--pulley", type=float, dest="pulley_mm", metavar="MM", help="moment arm at the joints (default: by the links)")
+    text = "distance between the two sides (default: computed from the links)"
+    add("--palm", type=float, dest="palm_mm", metavar="MM", help=text)
+    add("--tendons", choices=("one", "each"), help="one tendon per digit, or one for each joint (default: one)")
+    text = "moment arm at the joints (default: computed from the links)"
+    add("--pulley", type=float, dest="pulley_mm", metavar="MM", help=text)
     add("--spool", type=float, dest="spool_mm", metavar="MM", help="radius of the spools (default: 8)")
     add("--tension", type=float, dest="tension_N", metavar="N", help="largest commanded tension (default: 80)")
     add("--strength", type=float, dest="strength_N", metavar="N", help="breaking force of the tendons (default: 600)")
@@ -137,10 +139,11 @@ def bus(parser: Parser) -> None:
         named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
         bus_option(one, required=False)
         json_option(one)
-    plan.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: the highest that fits)")
+    text = "control rate (default: the highest at which no bus is overloaded)"
+    plan.add_argument("--rate", type=float, metavar="HZ", help=text)
     plan.add_argument("--table", action="store_true", help="compare the protocols, without a hand")
     for one in (doctor, up):
-        bitrate_options(one, "without a hand", "without a hand: of CAN FD's data phase")
+        bitrate_options(one, "without a hand: bit rate of the bus", "without a hand: bit rate of CAN FD's data phase")
     up.add_argument("--yes", action="store_true", help="run the commands now; needs root")
     text = "end after this time (default: Ctrl-C)"
     watch.add_argument("--for", dest="duration", type=float, metavar="S", help=text)
@@ -152,21 +155,23 @@ def scan(parser: argparse.ArgumentParser) -> None:
     bus_option(parser)
     json_option(parser)
     parser.add_argument("--dry-run", action="store_true", help="print every frame that may be sent, open no bus")
-    parser.add_argument("--force", action="store_true", help="ask although another host seems to control the bus")
-    bitrate_options(parser, "of the buses", "of CAN FD's data phase, for the fragment")
+    text = "send requests even if another host seems to control the bus"
+    parser.add_argument("--force", action="store_true", help=text)
+    bitrate_options(parser, "bit rate of the buses", "bit rate of CAN FD's data phase, for the printed fragment")
 
 
 def conformance(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``conformance``."""
     add = parser.add_argument
-    add("--protocol", required=True, choices=sorted(PROTOCOLS), help="of the drive")
-    add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
+    add("--protocol", required=True, choices=sorted(PROTOCOLS), help="protocol of the drive")
+    add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus")
     add("--bus", required=True, metavar="SPEC", help="local:NAME, socketcan:can0 or any python-can interface:channel")
     add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",
-        help="largest torque to ask for, at the drive's shaft; it becomes the drive's own limit too")  # fmt: skip
-    add("--yes", action="store_true", help="the shaft may turn now: hands and cables are away from it")
-    add("--option", action="append", default=[], metavar="KEY=VALUE", help="as in [motor.options] of a hand file")
-    bitrate_options(parser, "of the bus", "of CAN FD's data phase")
+        help="largest commanded torque at the drive's shaft; it is also the limit that the drive gets")  # fmt: skip
+    add("--yes", action="store_true", help="confirm that the shaft may turn: hands and cables are away from it")
+    text = "option of the drive, as in [motor.options] of a hand file; may be repeated"
+    add("--option", action="append", default=[], metavar="KEY=VALUE", help=text)
+    bitrate_options(parser, "bit rate of the bus", "bit rate of CAN FD's data phase")
     json_option(parser)
     parser.add_argument("--dry-run", action="store_true", help="print what would be checked, open no bus")
 

@@ -65,7 +65,7 @@ def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
         action="append",
         required=required,
         metavar="[NAME=]SPEC",
-        help="local:NAME, socketcan:can0 or any python-can interface:channel; repeat as NAME=SPEC for several buses",
+        help="local:NAME, socketcan:can0 or any python-can interface:channel; for several buses, repeat as NAME=SPEC",
     )
 
 
@@ -102,8 +102,9 @@ def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> N
     dry_run_option(parser)
     clear_option(parser)
     gains_options(parser)
-    parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: by the bus load)")
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: computed from the bus load)")
+    text = "calibration file (default: HAND.calibration.toml)"
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     yes_option(parser)
     time_scale_option(parser)
@@ -145,7 +146,8 @@ def perturb_words(args: argparse.Namespace) -> list[str]:
 
 def yes_option(parser: argparse.ArgumentParser) -> None:
     """Declare --yes: allow the motion without a question."""
-    parser.add_argument("--yes", action="store_true", help="on a real bus: move at once, do not ask")
+    text = "do not ask for permission before the hand moves on a real bus"
+    parser.add_argument("--yes", action="store_true", help=text)
 
 
 def time_scale_option(
@@ -176,7 +178,7 @@ def gains_options(parser: argparse.ArgumentParser) -> None:
         "--gain",
         action="append",
         metavar="KEY=VALUE",
-        help="one gain, over every gains file; may be repeated",
+        help="value of one gain, which replaces the value of the gains file; may be repeated",
     )
 
 

@@ -31,11 +31,11 @@ EXAMPLES = {
 }
 """Example of each verb and each sub-verb, as shown in its help text."""
 FORMATS = {
-    "parquet": "one table, a row a tick",
-    "csv": "the same as text",
-    "candump": "all frames as can-utils' log text",
-    "rrd": "for the Rerun viewer",
-    "lerobot": "a LeRobot dataset (3.0) in a folder, an episode for each log",
+    "parquet": "one table with a row per tick",
+    "csv": "the table of --parquet as text",
+    "candump": "all frames as a text log of can-utils",
+    "rrd": "a recording for the Rerun viewer",
+    "lerobot": "a LeRobot dataset (3.0) in a folder, with an episode for each log",
 }
 """Formats of ``log export`` with their descriptions."""
 
@@ -50,10 +50,9 @@ def view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--at", type=float, metavar="SECONDS", help="moment of the picture (default: in the middle of the hold phase)"
     )
-    parser.add_argument(
-        "--truth", type=Path, metavar="FILE", help="truth of a lockstep run, whose object is drawn (default: LOG.truth)"
-    )
-    parser.add_argument("--follow", action="store_true", help="the log is still being written: show it as it grows")
+    text = "file with the true state of a lockstep run, to draw its object (default: LOG.truth)"
+    parser.add_argument("--truth", type=Path, metavar="FILE", help=text)
+    parser.add_argument("--follow", action="store_true", help="show a log that is still being written, as it grows")
     json_option(parser)
 
 
@@ -61,41 +60,43 @@ def replay(parser: Parser) -> None:
     """Declare the arguments of ``replay``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
     _declare_execute(
-        _add_kind(kinds, "execute", "run the controller on the log's inputs, compare every output byte; no bus")
+        _add_kind(kinds, "execute", "run the controller on the inputs of the log, and compare all output bytes; no bus")
     )
-    _declare_drive(_add_kind(kinds, "drive", "drive the recorded run on the hand again and say how the two differ"))
-    _declare_safety(_add_kind(kinds, "safety", "judge the recorded run by other limits; no bus"))
+    _declare_drive(_add_kind(kinds, "drive", "repeat the recorded run on the hand, and print how the two runs differ"))
+    _declare_safety(_add_kind(kinds, "safety", "apply other safety limits to the recorded run; no bus"))
 
 
 def _add_kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
     parser = add_sub_verb(kinds, name, text, EXAMPLES[f"replay {name}"])
-    parser.add_argument("recorded", type=Path, metavar="LOG", help="the log")
+    parser.add_argument("recorded", type=Path, metavar="LOG", help="log of the recorded run")
     return parser
 
 
 def _declare_execute(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
-    parser.add_argument("--gains", type=Path, metavar="FILE", help="what would these gains have commanded here?")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="of --gains (default: LOG.gains.png)")
-    jobs_option(parser, None, "processes")
+    text = "compute the commands that these gains give with the inputs of the log"
+    parser.add_argument("--gains", type=Path, metavar="FILE", help=text)
+    text = "picture of the commands with --gains (default: LOG.gains.png)"
+    parser.add_argument("--picture", type=Path, metavar="FILE", help=text)
+    jobs_option(parser, None, "number of parallel processes")
     parser.add_argument(
         "--within",
         type=float,
         metavar="X",
-        help="accept numbers that differ by less, relative above 1, if all decisions are equal (other machines)",
+        help="for logs of other machines: accept differences up to X (relative above 1) if all decisions are equal",
     )
 
 
 def _declare_drive(parser: argparse.ArgumentParser) -> None:
     run_options(parser)
-    parser.add_argument("--raw", action="store_true", help="follow its tensions; no angle is corrected on the way")
+    text = "follow the recorded tensions, and do not correct the angles"
+    parser.add_argument("--raw", action="store_true", help=text)
 
 
 def _declare_safety(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
-    parser.add_argument(
-        "--limits", type=Path, required=True, metavar="FILE", help="TOML file, e.g. tension_trip_N = 60"
-    )
+    text = "TOML file with safety limits, e.g. tension_trip_N = 60"
+    parser.add_argument("--limits", type=Path, required=True, metavar="FILE", help=text)
 
 
 def log(parser: Parser) -> None:
@@ -108,13 +109,13 @@ def log(parser: Parser) -> None:
         one.add_argument("log", type=Path, help="the log")
         return one
 
-    kind("info", "what is in it: events with times, how the run ended, phases, which hand, gains, versions, gaps")
-    kind("check", "counters, gaps, clock, hashes, every byte")
-    other = kind("diff", "compare it with another run of the same hand, phase by phase")
+    kind("info", "print events with times, the end of the run, phases, hand, gains, versions and gaps")
+    kind("check", "check counters, gaps, clock, hashes, and every byte")
+    other = kind("diff", "compare the log with another run of the same hand, phase by phase")
     other.add_argument("other", type=Path, help="the other log")
-    rescue = kind("recover", "write a whole log from a broken one")
-    output_option(rescue, "the whole log (default: LOG.recovered.mcap)")
-    out = kind("export", "write it in a format that other tools read")
+    rescue = kind("recover", "write a complete log from a broken one")
+    output_option(rescue, "the complete log (default: LOG.recovered.mcap)")
+    out = kind("export", "write the log in a format that other tools read")
     out.add_argument("more", type=Path, nargs="*", metavar="LOG", help="further logs of the hand, with --lerobot")
     group = out.add_mutually_exclusive_group(required=True)
     for name, text in FORMATS.items():
@@ -124,11 +125,11 @@ def log(parser: Parser) -> None:
     )
     out.add_argument(
         "--camera", nargs="+", action="append", default=[], metavar=("NAME", "VIDEO"),
-        help="camera of a LeRobot dataset: its name, and a video for each log. Needs ffmpeg",
+        help="camera of a LeRobot dataset: its name, and one video for each log (needs ffmpeg)",
     )  # fmt: skip
     out.add_argument(
         "--camera-start", type=float, nargs="+", default=[0.0], metavar="SECONDS",
-        help="time of the first video frame since the start of the run, one for all logs or one for each (default: 0)",
+        help="time from the start of the run to the first video frame, for all logs or for each (default: 0)",
     )  # fmt: skip
     output_option(out, "a new file or folder (default: LOG.FORMAT)", "FILE|DIR")
 
@@ -138,6 +139,5 @@ def report(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
     parser.add_argument("log", type=Path, help="the log")
     output_option(parser, "the page (default: LOG.html)")
-    parser.add_argument(
-        "--truth", type=Path, metavar="FILE", help="truth of a lockstep run, drawn beside the estimates"
-    )
+    text = "file with the true state of a lockstep run, drawn beside the estimates"
+    parser.add_argument("--truth", type=Path, metavar="FILE", help=text)

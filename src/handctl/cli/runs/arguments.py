@@ -47,18 +47,17 @@ def demo(parser: argparse.ArgumentParser) -> None:
     dry_run_option(parser)
     text = "task (default: grasp.toml, or close, hold and open for a hand of other digits)"
     parser.add_argument("--task", type=Path, metavar="FILE", help=text)
-    text = "what the hand meets (default: a cylinder of a size for the hand)"
+    text = "object to grasp (default: a cylinder of a size that suits the hand)"
     parser.add_argument("--scene", metavar="NAME|FILE", help=text)
-    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of the simulator's noise")
     wire_option(parser)
-    parser.add_argument(
-        "--lockstep", action="store_true", help="virtual time: faster than real time, the same every time"
-    )
+    text = "simulate in virtual time: faster than real time, with the same result each time"
+    parser.add_argument("--lockstep", action="store_true", help=text)
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
     time_scale_option(parser, 1.0, "1, and less if this machine cannot keep up")
     perturb_option(parser)
-    text = "take what it says was identified; the simulated hand is commissioned all the same"
+    text = "use the identified values of this file; the simulated hand is commissioned nevertheless"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
     parser.set_defaults(gains=None, rate=None, clear=False)
 
@@ -73,11 +72,10 @@ def run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episode", type=int, metavar="N", help="episode of --dataset (default: 0)")
     text = "limit the joint speed of --dataset: jumps become ramps (default: a jump is refused)"
     parser.add_argument("--speed", type=float, metavar="DEG_S", help=text)
-    parser.add_argument(
-        "--truth", type=Path, metavar="FILE", help="truth file of a simulator (default: found by the bus)"
-    )
+    text = "file with the true state of the simulator (default: that of the simulator on the bus)"
+    parser.add_argument("--truth", type=Path, metavar="FILE", help=text)
     parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
-    text = "stop when standard input ends: for a program that starts this one, and may die"
+    text = "stop when standard input ends, so that the hand stops if the program that started handctl dies"
     parser.add_argument("--until-eof", action="store_true", help=text)
 
 
@@ -85,7 +83,7 @@ def stop(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``stop``."""
     bus_option(parser)
     json_option(parser)
-    parser.add_argument("--cut", action="store_true", help="take the torque away at once, without a ramp")
+    parser.add_argument("--cut", action="store_true", help="remove the torque at once, without a ramp")
 
 
 def clear(parser: argparse.ArgumentParser) -> None:
@@ -106,43 +104,46 @@ def jog(parser: argparse.ArgumentParser) -> None:
     goal = parser.add_mutually_exclusive_group(required=True)
     goal.add_argument("--tension", type=float, metavar="N", help="hold this tension in each tendon of the digit")
     goal.add_argument("--angle", type=float, metavar="DEG", help="move to this joint angle")
-    text = "one drive on a bench, without a hand file, instead of a digit: quantity that the drive controls"
+    text = "move one drive on a bench instead of a digit, without a hand file: quantity that the drive controls"
     goal.add_argument("--mode", choices=[mode.value for mode in DriveMode], help=text)
-    parser.add_argument("--for", dest="duration", type=float, default=2.0, metavar="S", help="how long (default: 2)")
+    text = "duration of the motion (default: 2)"
+    parser.add_argument("--for", dest="duration", type=float, default=2.0, metavar="S", help=text)
     _drive_options(parser.add_argument_group("with --mode", DRIVE_EXAMPLE))
-    bitrate_options(parser, "with --mode: bit rate of the bus", "of CAN FD's data phase")
+    bitrate_options(parser, "with --mode: bit rate of the bus", "bit rate of CAN FD's data phase")
 
 
 def _drive_options(group: argparse._ArgumentGroup) -> None:
     """Declare the options of one drive on a bench."""
     add = group.add_argument
-    add("--protocol", choices=sorted(PROTOCOLS), help="of the drive")
-    add("--node", type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
-    text = "torque [N m], velocity [rad/s], or position from where the shaft is [rad]"
+    add("--protocol", choices=sorted(PROTOCOLS), help="protocol of the drive")
+    add("--node", type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus")
+    text = "torque [N m], velocity [rad/s], or position relative to the present one [rad]"
     add("--setpoint", type=float, metavar="X", help=text)
-    text = "largest torque [N m]; it becomes the drive's own limit too"
+    text = "largest commanded torque [N m]; it is also the limit that the drive gets"
     add("--torque-limit-Nm", type=float, metavar="X", dest="limit", help=text)
-    text = "largest speed [rad/s]; the drive's own limit too, if it has the mode (default: 5)"
+    text = "largest speed [rad/s]; also the limit of the drive if the drive has the mode (default: 5)"
     add("--speed-limit", type=float, default=5.0, metavar="X", help=text)
     text = "largest acceleration [rad/s2] of the ramps (default: 10)"
     add("--acceleration-limit", type=float, default=10.0, metavar="X", help=text)
     text = "largest distance from the start [rad]; beyond it the drive is stopped (default: 20)"
     add("--travel", type=float, default=20.0, metavar="X", help=text)
-    add("--option", action="append", default=[], metavar="KEY=VALUE", help="as in [motor.options] of a hand file")
+    text = "option of the drive, as in [motor.options] of a hand file; may be repeated"
+    add("--option", action="append", default=[], metavar="KEY=VALUE", help=text)
 
 
 def sim(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``sim``."""
     hand_option(parser)
-    protocol_option(parser, "; writes HAND-PROTOCOL.toml, for the --hand of its controller")
+    protocol_option(parser, "; writes HAND-PROTOCOL.toml for --hand of the controller")
     bus_option(parser)
     json_option(parser)
-    parser.add_argument("--dry-run", action="store_true", help="check what is given, print the command and end")
-    text = "cylinder, sphere, box, none, or a scene file (default: a cylinder of a size for the hand)"
+    text = "check the arguments, print the command of the simulator, and exit"
+    parser.add_argument("--dry-run", action="store_true", help=text)
+    text = "cylinder, sphere, box, none, or a scene file (default: a cylinder of a size that suits the hand)"
     parser.add_argument("--scene", help=text)
-    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of the simulator's noise")
     perturb_option(parser)
-    text = "serial number of the simulated drives: each adds its number on the bus, or of one motor alone"
+    text = "serial number of one simulated motor, or a base to which each drive adds its number on the bus"
     parser.add_argument("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
     wire_option(parser)
     time_scale_option(parser, 1.0, "1")

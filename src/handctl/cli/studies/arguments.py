@@ -24,7 +24,7 @@ EXAMPLES = {
 """Example of each verb and each sub-verb, as shown in its help text."""
 TEXT = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
 'drop node=3 p=0.05 at=3s for=2s', 'snap tendon=index_tendon', 'stuck cell=thumb_tendon at=500ms';
-handctl fault kinds lists all that a running simulator knows"""
+handctl fault kinds lists all faults that a running simulator can inject"""
 
 
 def fault(parser: Parser) -> None:
@@ -34,16 +34,18 @@ def fault(parser: Parser) -> None:
     def action(name: str, text: str) -> Parser:
         return add_sub_verb(actions, name, text, EXAMPLES[f"fault {name}"])
 
-    inject = action("inject", "let a fault begin in a running simulator")
+    inject = action("inject", "start a fault in a running simulator")
     inject.description = TEXT
-    inject.add_argument("text", metavar="FAULT", help='as in "drop node=3 p=0.05 at=3s for=2s"')
+    text = 'fault and its parameters, as in "drop node=3 p=0.05 at=3s for=2s"'
+    inject.add_argument("text", metavar="FAULT", help=text)
     listed = action("list", "list the faults of a running simulator, and how often each took effect")
     kinds = action("kinds", "list the faults that a running simulator can inject")
     for sub in (inject, listed, kinds):
-        sub.add_argument("--bus", metavar="SPEC", help="of the simulator (default: the only one that runs)")
+        text = "bus of the simulator (default: that of the only running simulator)"
+        sub.add_argument("--bus", metavar="SPEC", help=text)
         json_option(sub)
-    _declare_campaign(action("campaign", "try the whole fault matrix in lockstep"))
-    _declare_sequences(action("sequences", "try random sequences of faults in lockstep, and check the rules in each"))
+    _declare_campaign(action("campaign", "inject every fault of the fault matrix in lockstep"))
+    _declare_sequences(action("sequences", "inject random sequences of faults in lockstep, and check the safety rules"))
 
 
 def paper(parser: argparse.ArgumentParser) -> None:
@@ -51,36 +53,37 @@ def paper(parser: argparse.ArgumentParser) -> None:
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--json", action="store_true", help="print the items as JSON on standard output")
     kind.add_argument("--markdown", action="store_true", help="print the page as Markdown on standard output")
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="write the figures there as PNG and SVG")
-    output_option(parser, "write all of it as one HTML page")
-    parser.add_argument("--export", type=Path, metavar="DIR", help="write the paper's hand there as URDF and MJCF")
-    parser.add_argument(
-        "--results", type=Path, metavar="FILE", help="take the experiments from there, or do them and write them there"
-    )
-    parser.add_argument("--quick", action="store_true", help="leave out the experiments, which take a minute or two")
-    jobs_option(parser, 2, "experiments at a time")
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="folder for the figures as PNG and SVG")
+    output_option(parser, "write all results as one HTML page")
+    parser.add_argument("--export", type=Path, metavar="DIR", help="folder for the paper's hand as URDF and MJCF")
+    text = "file with the results of the experiments; if it does not exist, run the experiments and write it"
+    parser.add_argument("--results", type=Path, metavar="FILE", help=text)
+    parser.add_argument("--quick", action="store_true", help="do not run the experiments, which take a minute or two")
+    jobs_option(parser, 2, "number of experiments at a time")
 
 
 def _declare_campaign(parser: argparse.ArgumentParser) -> None:
     hand_option(parser)
     json_option(parser)
-    parser.add_argument("--protocol", default="mit", choices=[*GUARDED, "all"], help="of the drives (default: mit)")
-    jobs_option(parser, 2, "scenarios at a time")
-    parser.add_argument("--quick", action="store_true", help="a sample that takes less than a minute")
-    parser.add_argument("--row", action="append", default=[], metavar="ID", help="only this row; may be repeated")
-    parser.add_argument(
-        "--calm", type=float, metavar="S", help="how long the undisturbed hand is watched (60; quick: 4)"
-    )
-    parser.add_argument("--calm-only", action="store_true", help="nothing but the undisturbed hand")
-    parser.add_argument("--seed", type=int, default=1, help="of the simulated hand (default: 1)")
+    text = "protocol of the drives (default: mit)"
+    parser.add_argument("--protocol", default="mit", choices=[*GUARDED, "all"], help=text)
+    jobs_option(parser, 2, "number of scenarios at a time")
+    parser.add_argument("--quick", action="store_true", help="run a sample of the campaign, in less than a minute")
+    text = "inject only the fault of this row; may be repeated"
+    parser.add_argument("--row", action="append", default=[], metavar="ID", help=text)
+    text = "duration of the run without a fault (default: 60, with --quick 4)"
+    parser.add_argument("--calm", type=float, metavar="S", help=text)
+    parser.add_argument("--calm-only", action="store_true", help="run only without a fault")
+    parser.add_argument("--seed", type=int, default=1, help="random seed of the simulated hand (default: 1)")
     output_option(parser, "folder of report.html, report.json and the logs of failures (logs/campaign)", "DIR")
 
 
 def _declare_sequences(parser: argparse.ArgumentParser) -> None:
     hand_option(parser)
     json_option(parser)
-    parser.add_argument("--protocol", default="mit", choices=GUARDED, help="of the drives (default: mit)")
-    parser.add_argument("--count", type=int, default=30, metavar="N", help="how many (default: 30)")
-    parser.add_argument("--seed", type=int, default=1, help="of the first; the next ones count on (default: 1)")
-    jobs_option(parser, 2, "sequences at a time")
+    parser.add_argument("--protocol", default="mit", choices=GUARDED, help="protocol of the drives (default: mit)")
+    parser.add_argument("--count", type=int, default=30, metavar="N", help="number of sequences (default: 30)")
+    text = "random seed of the first sequence, each further one adds 1 (default: 1)"
+    parser.add_argument("--seed", type=int, default=1, help=text)
+    jobs_option(parser, 2, "number of sequences at a time")
     output_option(parser, "folder of the logs of failures (logs/campaign)", "DIR")

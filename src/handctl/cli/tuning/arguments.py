@@ -47,9 +47,8 @@ EXAMPLES = {
 def identify(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``identify``."""
     run_options(parser, bus_required=False)
-    parser.add_argument(
-        "--digits", nargs="+", action="extend", metavar="DIGIT", help="which (default: all, one after the other)"
-    )
+    text = "digits to identify (default: all, one after the other)"
+    parser.add_argument("--digits", nargs="+", action="extend", metavar="DIGIT", help=text)
     parser.add_argument(
         "--from-log",
         dest="logs",
@@ -57,12 +56,13 @@ def identify(parser: argparse.ArgumentParser) -> None:
         action="extend",
         type=Path,
         metavar="LOG",
-        help="use recorded runs instead of any new motion",
+        help="use recorded runs, and do not move the hand",
     )
-    parser.add_argument("--lockstep", action="store_true", help="the simulated hand in virtual time, without a bus")
-    parser.add_argument("--seed", type=int, default=0, help="of the simulated hand")
+    text = "identify the simulated hand in virtual time, without a bus"
+    parser.add_argument("--lockstep", action="store_true", help=text)
+    parser.add_argument("--seed", type=int, default=0, help="random seed of the simulated hand")
     perturb_option(parser)
-    parser.add_argument("--no-write", action="store_true", help="leave the calibration file as it is")
+    parser.add_argument("--no-write", action="store_true", help="do not change the calibration file")
 
 
 def gains(parser: Parser) -> None:
@@ -78,20 +78,20 @@ def gains(parser: Parser) -> None:
 
     gains_options(kind("show", "show every gain: value, source, meaning, unit and bounds"))
     diff = kind("diff", "compare two sets of gains")
-    text = "a file, a log, a number of the history, present, or packaged; one or two (default: packaged present)"
+    text = "one or two of: a file, a log, a number of the history, present, packaged (default: packaged present)"
     diff.add_argument("sides", nargs="*", default=[], metavar="GAINS", help=text)
     apply = kind("apply", "use the gains of a file in all later runs")
     apply.add_argument("file", type=Path, metavar="FILE", help="gains file")
     for option, name, meaning in (
-        ("--calibration", "fit", "calibration with the identified parameters, as a note"),
-        ("--study", "study", "search with these gains as result, as a note"),
-        ("--note", "note", "reason"),
+        ("--calibration", "fit", "calibration with the identified parameters, for the history"),
+        ("--study", "study", "search that found these gains, for the history"),
+        ("--note", "note", "reason, for the history"),
     ):
         apply.add_argument(option, dest=name, default="", help=meaning)
-    text = "recorded run behind the gains, as a note; may be repeated"
+    text = "recorded run from which the gains were found, for the history; may be repeated"
     apply.add_argument("--from-log", dest="log", action="append", type=Path, default=[], metavar="LOG", help=text)
     back = kind("rollback", "use earlier gains again")
-    back.add_argument("--to", type=int, metavar="N", help="number in the history; 0: the packaged gains")
+    back.add_argument("--to", type=int, metavar="N", help="number in the history, 0 for the packaged gains")
     kind("log", "list all gains that were applied")
     live = kind("set", "change gains of a running controller, without a step in torque")
     live.add_argument("values", nargs="+", metavar="KEY=VALUE", help="gains and their new values")
@@ -114,13 +114,14 @@ def _add_kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str)
     hand_option(parser)
     json_option(parser)
     gains_options(parser)
-    parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: by the bus load)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of plants, noise and search (default: 0)")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: computed from the bus load)")
+    text = "random seed of plants, noise and search (default: 0)"
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help=text)
     return parser
 
 
 def _declare_plants(parser: argparse.ArgumentParser, default: int) -> None:
-    text = f"plants to keep the margins on, the hand's own first (default: {default})"
+    text = f"number of simulated plants, the first with the values of the hand (default: {default})"
     parser.add_argument("--plants", type=int, default=default, metavar="N", help=text)
     text = "tune the hand as it was identified (default: as in its file)"
     parser.add_argument("--calibration", dest="fit", type=Path, metavar="FILE", help=text)
@@ -130,35 +131,36 @@ def _declare_plants(parser: argparse.ArgumentParser, default: int) -> None:
 
 def _declare_design(parser: argparse.ArgumentParser) -> None:
     _declare_plants(parser, 8)
-    parser.add_argument(
-        "--poles-Hz", dest="poles", metavar="MOTION,TENSION", help="place the poles here; nothing is sought then"
-    )
-    parser.add_argument("--damping", type=float, default=1.0, metavar="X", help="of these poles (default: 1)")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="default: beside --output")
+    text = "place the poles at these frequencies, and do not search"
+    parser.add_argument("--poles-Hz", dest="poles", metavar="MOTION,TENSION", help=text)
+    text = "damping ratio of the poles of --poles-Hz (default: 1)"
+    parser.add_argument("--damping", type=float, default=1.0, metavar="X", help=text)
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="picture of the result (default: beside --output)")
 
 
 def _declare_search(parser: argparse.ArgumentParser) -> None:
     _declare_plants(parser, 3)
-    parser.add_argument("--trials", type=int, default=64, metavar="N", help="in all, a resumed study's included")
-    parser.add_argument(
-        "--study", type=Path, metavar="FILE", help="journal to write or go on with (default: HAND.study)"
-    )
-    jobs_option(parser, 1, "processes")
-    parser.add_argument("--scheduler", metavar="tcp://...", help="an existing Dask cluster instead")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="default: beside --output")
+    text = "number of all trials, with those of a resumed study (default: 64)"
+    parser.add_argument("--trials", type=int, default=64, metavar="N", help=text)
+    text = "journal of the search, which is resumed if it exists (default: HAND.study)"
+    parser.add_argument("--study", type=Path, metavar="FILE", help=text)
+    jobs_option(parser, 1, "number of parallel processes")
+    text = "use an existing Dask cluster instead of local processes"
+    parser.add_argument("--scheduler", metavar="tcp://...", help=text)
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="picture of the result (default: beside --output)")
 
 
 def _declare_verify(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("candidate", type=Path, metavar="NEW.toml", help="gains to verify")
     bus_option(parser, required=False)
     dry_run_option(parser)
-    parser.add_argument("--lockstep", action="store_true", help="on a simulated hand in this process, in virtual time")
+    parser.add_argument("--lockstep", action="store_true", help="use a simulated hand in virtual time, without a bus")
     perturb_option(parser)
-    text = "calibration (default: HAND.calibration.toml, none with --lockstep, which uses the identified values)"
+    text = "calibration file (default: HAND.calibration.toml; with --lockstep none, but the identified values)"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
-    text = "with --lockstep: so many runs, each with another seed, whose spread decides (default: 3)"
+    text = "with --lockstep: number of runs, each with another seed; their spread decides (default: 3)"
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help=text)
-    text = "say verified although a column is worse than with the old gains"
+    text = "accept the gains even if a column is worse than with the old gains"
     parser.add_argument("--accept-worse", action="store_true", help=text)
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND-verify.mcap)")
     clear_option(parser)

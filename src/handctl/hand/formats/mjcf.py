@@ -53,7 +53,7 @@ def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
 
 
 def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
-    """Add a box behind all digits on a link, and the digits. Digits mounted on the box do not collide with it."""
+    """Add the digits that are mounted on a link, and a box behind them. These digits do not collide with the box."""
     centre, size = palm_box(hand, carrier)
     name = "palm" if carrier is None else f"{carrier}_palm"
     ET.SubElement(link, "geom", name=name, type="box", size=numbers_text(size / 2), pos=numbers_text(centre))

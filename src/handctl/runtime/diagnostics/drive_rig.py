@@ -30,7 +30,7 @@ class DriveRig:
         torque: last commanded torque [N m].
         events: events of the bus.
         inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
-        idle_command: command that moves nothing. A drive that controls its position needs its position.
+        idle_command: command that moves nothing. In position mode it contains the present position.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: Clock) -> None:
