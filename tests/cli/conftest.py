@@ -1,4 +1,4 @@
-"""A place of its own for every test: an empty folder to work in, and short socket paths."""
+"""Working folder for every test: an empty folder, and short socket paths."""
 
 import shutil
 import tempfile
@@ -9,7 +9,7 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def place(tmp_path, monkeypatch):
-    """Work in an empty folder, with sockets in a folder whose name is short enough for them."""
+    """Work in an empty folder, with sockets in a folder that has a short path."""
     sockets = Path(tempfile.mkdtemp(prefix="h-"))
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(sockets))
     monkeypatch.chdir(tmp_path)

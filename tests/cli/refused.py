@@ -1,4 +1,4 @@
-"""What a person reads whose words are refused."""
+"""Error lines of a command with bad input."""
 
 from handctl.cli.main import main
 

@@ -1,4 +1,4 @@
-"""``--view`` where there is no screen is refused before anything starts."""
+"""``--view`` without a screen is refused before the run starts."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""``handctl bus doctor``: the bus, the nodes on it and how fast they answer, or what to type."""
+"""``handctl bus doctor``: findings about a bus and its nodes, with the command that repairs each."""
 
 import json
 
@@ -36,7 +36,7 @@ def test_missing_interface_finding_has_the_set_up_command(capsys, words, said):
 
 
 def test_an_odrive_of_firmware_05_is_there(capsys):
-    """It was asked for its version, which it does not have, and every healthy one was reported as gone."""
+    """Regression: its version was requested, which it does not have, so a healthy drive was reported as missing."""
     with drives("local:d", "odrive", "--ids", "3", "--firmware", "0.5"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 0
     assert "odrive 3 answers 20 of 20" in capsys.readouterr().out

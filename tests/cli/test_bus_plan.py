@@ -1,4 +1,4 @@
-"""``handctl bus plan``: what it computes, and that a split it proposes really fits."""
+"""``handctl bus plan``: the computed load, and a proposed split that really fits."""
 
 import json
 from pathlib import Path
@@ -104,7 +104,7 @@ def test_run_refuses_an_overloaded_bus(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_a_bus_too_slow_for_the_watchdogs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The rate that nobody asked for, too: at 20 Hz one tick is as long as a watchdog of 50 ms."""
+    """Include the computed rate: at 20 Hz one tick is as long as a watchdog of 50 ms."""
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))
     assert main(["run", "--hand", str(slow), "--bus", "local:nobody", "--dry-run"]) == 2
@@ -113,6 +113,6 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(tmp_path: Path, capsys: pyt
 
 @pytest.mark.parametrize(("bus", "code"), [("socketcan:can0", 2), ("pcan:PCAN_USBBUS1", 2), ("socketcan:vcan0", 0)])
 def test_real_motors_are_not_run_in_slow_motion(bus: str, code: int, capsys: pytest.CaptureFixture[str]) -> None:
-    """A loop designed for 2 ms that comes every 20 swings a real hand up."""
+    """A loop designed for 2 ms that runs every 20 ms makes a real hand oscillate."""
     assert main(["run", "--hand", "jamia", "--bus", bus, "--time-scale", "0.1", "--dry-run"]) == code
     assert ("may have real motors; expected 1, or" in capsys.readouterr().err) == bool(code)

@@ -1,4 +1,4 @@
-"""``handctl bus up``: the commands for each kind of interface, and what is refused."""
+"""``handctl bus up``: the commands for each kind of interface, and refused inputs."""
 
 import json
 import os

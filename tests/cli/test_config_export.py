@@ -1,4 +1,4 @@
-"""``handctl config export``: a database of each bus that cantools takes, links that MuJoCo takes."""
+"""``handctl config export``: cantools reads the database of each bus, and MuJoCo reads the links."""
 
 import json
 
@@ -12,7 +12,7 @@ from tests.drives.protocol_bench import hand_file, on_two_buses
 
 
 def names(path):
-    """Messages of a file, read strictly."""
+    """Return the messages of a file, read in strict mode."""
     return {message.name for message in cantools.database.load_file(path, strict=True).messages}
 
 

@@ -61,12 +61,12 @@ FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
 def measured(text: str) -> str:
-    """Return the text of a file with every value that was missing."""
+    """Return the text of a file after every missing value was added."""
     return re.sub(r'^(\w+) = "TODO".*$', lambda line: f"{line[1]} = {MEASURED[line[1]]}", text, flags=re.MULTILINE)
 
 
 def imported(form: str, path: Path | str, *words: str) -> str:
-    """Return the text of mine.toml, made from a description."""
+    """Return the text of mine.toml, imported from a description."""
     Path("mine.toml").unlink(missing_ok=True)
     assert main(["config", "init", "--yes", form, str(path), *words, "--output", "mine.toml"]) == 0
     return Path("mine.toml").read_text()

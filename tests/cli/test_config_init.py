@@ -1,4 +1,4 @@
-"""A new hand file from a few answers: it passes `config check`, whatever the answers."""
+"""A new hand file from a few answers passes `config check` for any answers."""
 
 import itertools
 import json

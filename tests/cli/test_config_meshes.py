@@ -1,4 +1,4 @@
-"""Meshes on the command line: one line for each mistake, exports, and runs that go on without a mesh."""
+"""Meshes on the command line: one line for each mistake, exports, and runs without a mesh."""
 
 import shutil
 from pathlib import Path
@@ -197,7 +197,7 @@ def test_exported_meshes_come_back_to_their_places(
 
 
 def stranger_in(place: Path) -> Path:
-    """Write the hand of a stranger as a ROS package with meshes, and return its URDF."""
+    """Write a hand as a ROS package with meshes, and return its URDF."""
     folder = place / "ws" / "gripper"
     (folder / "urdf").mkdir(parents=True)
     (folder / "meshes").mkdir()

@@ -1,4 +1,4 @@
-"""Typical mistakes in a hand file of schema 2: each is one line that names the key as the file has it."""
+"""Typical mistakes in a hand file of schema 2: each gives one line that names the key as the file spells it."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""``handctl conformance`` against drives in another process: what it says, what it leaves behind, how it ends."""
+"""``handctl conformance`` on drives in another process: its output, the state of the drives afterwards, exit codes."""
 
 import json
 import threading
@@ -47,7 +47,7 @@ def test_a_good_drive_in_another_process_passes(protocol, more):
 @pytest.mark.realtime
 @pytest.mark.parametrize("protocol", ["odrive", "cia402"])
 def test_a_drive_is_left_as_good_as_it_was(protocol):
-    """It was left with a latched error: `commission` then refused the hand."""
+    """Regression: a drive kept a latched error, and `commission` then refused the hand."""
     more = ENDPOINTS if protocol == "odrive" else []
     with drives("local:c", protocol, "--ids", "33"):
         done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
@@ -79,7 +79,7 @@ def test_a_text_option_needs_no_quotes(words, options):
 
 
 def test_an_odrive_of_firmware_05_needs_no_option(capsys):
-    """It refused the verb's own default, torque_feedback."""
+    """Regression: the verb's default torque_feedback was refused."""
     words = ["--protocol", "odrive", "--node", "3", "--option", "firmware=0.5", "--dry-run"]
     assert main([*WORDS, *words]) == 0
 
@@ -121,7 +121,7 @@ def test_missing_drive_is_reported(capsys):
 
 
 def test_drive_of_another_host_is_not_commanded(capsys):
-    """A CubeMars motor answers orders only, so nothing is asked before the first one: it must be listened to."""
+    """A CubeMars motor replies only to commands, so the verb must listen before it sends the first one."""
     with drives("local:c", "cubemars", "--ids", "33"):
         other, over = LocalBus("c", 0, int), threading.Event()
         heard, limp = [], Table(command_message(33, Ranges(12.5, 50.0, 18.0))).pack(0.0)

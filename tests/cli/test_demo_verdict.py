@@ -1,4 +1,4 @@
-"""What ``handctl demo`` calls a success, and hands a little unlike the packaged ones."""
+"""Conditions for a success of ``handctl demo``, and hands that differ slightly from the packaged ones."""
 
 import json
 
@@ -32,7 +32,7 @@ def jamia():
 
 
 def two_fingers():
-    """Index and middle finger, which close to the same side: they can lift nothing."""
+    """Return index and middle finger, which close to the same side and can lift nothing."""
     content = jamia()
     for part in ("digit", "tendon", "motor"):
         content[part] = content[part][:2]
@@ -43,7 +43,7 @@ def two_fingers():
 
 
 def two_buses():
-    """The thumb and the ring finger on a bus of their own."""
+    """Put the thumb and the ring finger on a second bus."""
     content = jamia()
     content["bus"].append({**content["bus"][0], "name": "second"})
     for motor in content["motor"][2:]:

@@ -1,4 +1,4 @@
-"""Lines that an operator sees while a hand runs, from the display process itself."""
+"""Lines that an operator sees during a run, from the display process."""
 
 from handctl.campaign.stage import homed_run
 from handctl.cli.console.display import DisplayProcess
@@ -33,7 +33,7 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
 
 
 def test_only_a_fault_has_a_remedy(capfd) -> None:
-    """An event of another name prints no second line, even if its text begins with the id of a fault."""
+    """An event with another name prints no remedy, even if its text starts with the id of a fault."""
     display = DisplayProcess(("index_tendon",), (80.0,), RATE_HZ, 0.5)
     try:
         fault = next(fault for fault in BY_ID.values() if fault.remedy)

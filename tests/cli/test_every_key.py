@@ -1,4 +1,4 @@
-"""Every key of every file that a person writes, with every kind of bad value: one line, exit code 2, no bus opened.
+"""Every key of every input file with every kind of bad value: one line, exit code 2, no bus opened.
 
 A share of them in every run, all of them in the night.
 """
@@ -19,7 +19,7 @@ ONE_OF = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class Literal(float):
-    """A number that TOML can write and a float cannot hold."""
+    """A number that TOML can write and a float cannot represent."""
 
     def __repr__(self):
         return "1e400"
@@ -81,7 +81,7 @@ FILES = {
 
 
 def text_of(content):
-    """As toml_text writes, and tables of tables by the names of all that they are in."""
+    """Return content as TOML, with nested tables written as dotted headers."""
     plain = {key: value for key, value in content.items() if not isinstance(value, dict)}
     lines = [toml_text(plain)]
     for key, value in content.items():
@@ -99,7 +99,7 @@ def _table(name, table):
 
 
 def without(content, path, instead=None):
-    """A copy that lacks a key, or has it by another name."""
+    """Return a copy without a key, or with the key under another name."""
     content = changed(content, path, None)
     parent = content
     for key in path[:-1]:
@@ -120,7 +120,7 @@ def cases():
 
 
 def spoilt(content, path, kind):
-    """The text of the file, with one thing wrong."""
+    """Return the text of the file with one mistake."""
     if kind in KEYS:
         old = content
         for key in path:
@@ -136,7 +136,7 @@ def spoilt(content, path, kind):
 
 
 class OpenedError(Exception):
-    """A bus was about to be opened."""
+    """The command was about to open a bus."""
 
 
 @pytest.fixture(autouse=True)
@@ -149,7 +149,7 @@ def no_bus(monkeypatch):
 
 
 def refusal(capsys, option, file):
-    """What `run` says of a file; empty if it goes on to the bus."""
+    """Return the error line of `run` for a file, empty if the command goes on to the bus."""
     others = [] if {"--task", "--trajectory"} & {*option} else ["--task", "grasp"]
     try:
         code = main(["run", "--bus", BUS, *option, file, *others])

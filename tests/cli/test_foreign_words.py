@@ -1,4 +1,4 @@
-"""Words from files, logs and arguments reach a terminal escaped and in lines of bounded length, and JSON is UTF-8."""
+"""Texts from files, logs and arguments are escaped and bounded in a terminal, and JSON is UTF-8."""
 
 import io
 import json
@@ -34,7 +34,7 @@ def is_harmless(text):
 
 
 def exit_code(words):
-    """The exit code of a command line, also of one that argparse refuses."""
+    """Return the exit code of a command line, also of one that argparse refuses."""
     try:
         return main(words)
     except SystemExit as ended:

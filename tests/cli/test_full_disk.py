@@ -1,4 +1,4 @@
-"""No room beside the log: what cannot be written is told in a line and left out, and nothing else is lost."""
+"""A full disk beside the log: each file that cannot be written gives one line, and nothing else is lost."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""``handctl gains`` as a person uses it."""
+"""``handctl gains`` as a user calls it."""
 
 import datetime
 import json
@@ -23,7 +23,7 @@ SAME = f"tension.force_N={Gains().tension.force_N}"
 
 @pytest.fixture
 def applied(place):
-    """A hand whose gains were changed twice."""
+    """Return a hand whose gains were changed twice."""
     for newtons in (25, 30):
         (place / "new.toml").write_text(f"schema = 1\n[motion]\nforce_N = {newtons}.0\n")
         assert main(["gains", "apply", "new.toml", "--note", f"{newtons} N"]) == 0

@@ -1,4 +1,4 @@
-"""Help, suggestions, renamed options, completion, and how much verbs print."""
+"""Help, suggestions, renamed options, completion, and verbosity."""
 
 import argparse
 import os

@@ -1,4 +1,4 @@
-"""``handctl identify`` on hands that lack what the fits need: one line, before a bus is opened."""
+"""``handctl identify`` on hands without the needed sensors or springs: one line, before a bus is opened."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ def without_cell(folder: Path) -> str:
 
 @pytest.mark.parametrize("hand", ["n_plus_1", "orca_like"])
 def test_hands_that_their_tendons_return_are_not_refused(hand: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """They were: the first has no springs, the second has spool pairs without load cells."""
+    """Regression: one hand has no springs, and the other has spool pairs without load cells."""
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out
 

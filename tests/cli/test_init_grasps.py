@@ -1,4 +1,4 @@
-"""A hand of `config init` grasps, holds and releases in lockstep. A sample in every run, all in the nightly one."""
+"""A hand of `config init` grasps, holds and releases in lockstep. Ordinary runs test a sample, nightly runs all."""
 
 import itertools
 import json

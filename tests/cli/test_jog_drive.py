@@ -1,4 +1,4 @@
-"""``handctl jog --mode`` against drives in another process, and what it refuses."""
+"""``handctl jog --mode`` on drives in another process, and refused inputs."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The demo in virtual time: the same to the byte every time, its promises held, its log read by others."""
+"""The demo in virtual time: repeatable to the byte, all checks pass, and other tools read its log."""
 
 import json
 import os
@@ -23,7 +23,7 @@ KEYS = {
 
 
 def demos(folder, *hands, task=""):
-    """The results of lockstep demos, one process each, almost at the same time; of a task instead of the grasp."""
+    """Return the results of lockstep demos, run in parallel processes, with a task instead of the grasp on request."""
     running = []
     for number, hand in enumerate(hands):
         time.sleep(1.1 * number)  # so that whatever holds the second of its start is another in each
@@ -46,24 +46,24 @@ def demos(folder, *hands, task=""):
 
 @pytest.fixture(scope="module")
 def twins(tmp_path_factory):
-    """The demo twice; in every run with a short motion, in the nightly one with its grasp."""
+    """Return two equal demos: a short motion in ordinary runs, a grasp in nightly runs."""
     return demos(tmp_path_factory.mktemp("twins"), "jamia", "jamia", task="" if NIGHTLY else SHORT)
 
 
 @pytest.fixture(scope="module")
 def four(tmp_path_factory):
-    """The demo as it is."""
+    """Return the demo with the default hand."""
     return demos(tmp_path_factory.mktemp("four"), "jamia")[0]
 
 
 @pytest.fixture(scope="module")
 def eleven(tmp_path_factory):
-    """The demo with a motor for every joint."""
+    """Return the demo of the hand with one motor per joint."""
     return demos(tmp_path_factory.mktemp("eleven"), "jamia11")[0]
 
 
 def stream(path):
-    """Topic, time and data of every message, in the order of the file."""
+    """Return topic, time and data of every message, in the order of the file."""
     with path.open("rb") as file:
         messages = make_reader(file).iter_messages(log_time_order=False)
         return [(channel.topic, message.log_time, message.data) for _, channel, message in messages]
@@ -111,7 +111,7 @@ def keeps_its_promises(result):
 
 @pytest.mark.nightly
 def test_the_demo_keeps_its_promises(four):
-    """In every run jamia11 does, tests/cli/test_seeds.py."""
+    """jamia11 is tested in tests/cli/test_seeds.py."""
     result = four[1]
     keeps_its_promises(result)
     assert result["tension_rmse_n"] < result["tension_raw_rmse_n"]

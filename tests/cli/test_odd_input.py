@@ -1,4 +1,4 @@
-"""Files that are none and numbers that are none: one line, exit code 2, for every verb that takes them."""
+"""Invalid files and invalid numbers: one line and exit code 2 for every verb that accepts them."""
 
 import json
 import os
@@ -111,7 +111,7 @@ def test_invalid_number_is_refused(capsys, words):
 
 
 def test_campaign_of_rows_without_scenarios_is_refused(capsys):
-    """CiA 402 tells no temperature, and none of these is a success."""
+    """CiA 402 reports no temperature, so no scenario exists, which is not a success."""
     words = ("fault", "campaign", "--protocol", "cia402", "--calm", "0", "--row", "N08", "--row", "N09")
     assert "'N09'" in refused(capsys, *words)
 

@@ -1,4 +1,4 @@
-"""What a verb writes is there whole or not at all, and never in the place of a log, a folder or a device."""
+"""An output is written completely or not at all, and never replaces a log, a folder or a device."""
 
 import os
 import stat
@@ -33,7 +33,7 @@ NOWHERE = {
 
 @pytest.fixture(autouse=True)
 def things(place):
-    """What is there before."""
+    """Create the files that exist before the command."""
     for name in ("folder", "folder.rrd"):
         (place / name).mkdir()
         (place / name / "mine").write_text("mine")
@@ -64,7 +64,7 @@ def test_unwritable_output_path_is_refused(capsys, what, name):
 
 
 def inputs(place):
-    """A log that is not called one, gains, and a truth file."""
+    """Create a log with another suffix, gains, and a truth file."""
     for name in ("log.html", "log.png"):
         (place / name).write_bytes(GOLDEN.read_bytes())
     (place / "hand.toml").write_text(hand_path("jamia").read_text())

@@ -1,4 +1,4 @@
-"""Who waits at a terminal sees how far it is; who reads the output of a program sees nothing of it."""
+"""Progress is shown on a terminal, and never in the output that a program reads."""
 
 import os
 import pty
@@ -14,7 +14,7 @@ LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-lost.mcap")
 
 
 def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
-    """Standard output, and what a terminal showed of standard error."""
+    """Return standard output, and the text that a terminal showed of standard error."""
     shown, terminal = pty.openpty()
     command = [sys.executable, "-m", "handctl.cli", *words]
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}

@@ -1,4 +1,4 @@
-"""A bus that may have real motors: no default hand, one question before anything moves, and what was found is named."""
+"""A bus that may have real motors: no default hand, one question before a motion, and a list of the files in use."""
 
 import datetime
 import io
@@ -35,14 +35,14 @@ GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 @pytest.fixture(autouse=True)
 def files(place, monkeypatch):
-    """What the verbs read before they come to the bus; standard input is no terminal."""
+    """Create the files that the verbs read before they open the bus. Standard input is no terminal."""
     (place / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 25.0\n")
     monkeypatch.setattr("sys.stdin", io.StringIO())
 
 
 @pytest.fixture(params=MOVES)
 def words(request, place):
-    """The words of a verb that moves a hand, and the log that ``replay`` reads."""
+    """Return the words of a verb that moves a hand, with the log that ``replay`` reads."""
     if request.param == "replay":
         (place / "before.mcap").symlink_to(GOLDEN)
     return MOVES[request.param]
@@ -71,7 +71,7 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
 
 
 def at_a_terminal(answer: str) -> tuple[int, str]:
-    """Run a hand from a terminal, answer its question; exit code, and what the terminal showed."""
+    """Run a verb from a terminal and answer its question. Return the exit code and the text on the terminal."""
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "handctl.cli", "run", *HAND, "--bus", "socketcan:nosuch"]
     process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True)

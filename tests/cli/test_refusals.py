@@ -150,7 +150,7 @@ def test_existing_log_is_not_overwritten(place, capsys, verb, log):
 
 
 def two_buses():
-    """The jamia with its thumb on a second bus."""
+    """Write jamia with its thumb on a second bus."""
     content = jamia()
     content["bus"].append({"name": "thumb", "bitrate": 1_000_000})
     content["motor"][3]["bus"] = "thumb"
@@ -263,7 +263,7 @@ def test_unknown_verb_is_refused(capsys):
 
 @pytest.mark.parametrize("verb", ["stop", "clear"])
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
-    """It exited 0 as soon as a datagram was sent, to whomever."""
+    """Regression: the exit code was 0 as soon as a datagram was sent."""
     assert main([verb, *BUS]) == 71
     out, err = capsys.readouterr()
     told = f"handctl: bus local:does-not-exist: nobody has confirmed: switch the power off ({verb}: no controller"

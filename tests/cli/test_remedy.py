@@ -1,4 +1,4 @@
-"""Who is told that time can be slowed: whoever simulates a hand that does not keep up, and nobody else."""
+"""The advice to slow time is shown only for a simulated hand that does not keep up."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -19,7 +19,7 @@ LATE, TORN = ("B03b", "N02"), ("T01",)
 
 
 def ended(*rows: str, cpu_s: float = 0.0) -> Outcome:
-    """A run that these rows ended."""
+    """Return a run that ended with these faults."""
     latched = [SimpleNamespace(id=row) for row in rows]
     state = SimpleNamespace(latched=latched, failure="fault" if rows else "", k=1000)
     return Outcome(cast(State, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
@@ -56,7 +56,7 @@ def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tu
 def test_the_pace_that_is_advised_is_measured(
     monkeypatch: pytest.MonkeyPatch, cpu_s: float, capacity: float | None, advice: float | None, number: float
 ) -> None:
-    """It always said 0.5, also where a grasp ran at 0.01 only. The run took 2 s: 1,000 ticks at 500 Hz."""
+    """Regression: the advice was always 0.5. This run took 2 s for 1000 ticks at 500 Hz."""
     told = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told if question == {"pace": True} else {})
     monkeypatch.setattr(pace, "usable_cores", lambda: 2)

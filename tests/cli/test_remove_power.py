@@ -1,4 +1,4 @@
-"""A drive that does not say that it is off: every verb that ran it ends with 71, whatever else went wrong."""
+"""A drive that does not confirm that it is disabled: every verb ends with 71, also after other errors."""
 
 import pytest
 
@@ -17,7 +17,7 @@ FAILURE = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_mo
 
 
 def left_enabled(plan, controller, log):
-    """A run at the end of which a motor may have torque."""
+    """Return a run after which a motor may have torque."""
     state = controller.initial()
     state.decide(failure=FAILURE, unconfirmed=("index_motor",))
     return Outcome(state, LoopStats(), {}, None, 0)
@@ -42,7 +42,7 @@ def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(place, monkeyp
 
 
 class Bus:
-    """Takes everything, says nothing."""
+    """A bus that accepts all frames and delivers none."""
 
     def send(self, frames):
         return len(frames)

@@ -1,4 +1,4 @@
-"""The verbs on a recorded run, as a person calls them."""
+"""The verbs for recorded runs, as a user calls them."""
 
 import json
 import re
@@ -127,7 +127,7 @@ def test_result_of_an_incomplete_log_is_marked(
 
 
 class Page(HTMLParser):
-    """Collects what a page would load."""
+    """Collect the addresses that a page would load."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""``handctl scan``: what is on a bus is found, nothing is moved, and what another drive would obey is not sent."""
+"""``handctl scan``: finds the nodes of a bus, moves nothing, and sends no frame that another drive would obey."""
 
 import json
 import tomllib
@@ -23,7 +23,7 @@ from tests.drives.protocol_bench import hand_file
 
 
 class BenchBus:
-    """Simulated drives as a bus, on which time passes when somebody hears."""
+    """Simulated drives as a bus. Each read advances time."""
 
     name = "bench"
 
@@ -155,7 +155,7 @@ def test_beside_another_host_it_only_listens(talk):
 
 
 def test_beside_another_host_no_firmware_is_invented():
-    """An ODrive 0.6 that was never asked was reported as firmware 0.5, told by the drive."""
+    """Regression: an ODrive 0.6 without a reply was reported as firmware 0.5."""
     request = Frame(3 << 5 | 0x09 | REMOTE, b"")
     result, _, bus = scanned(("odrive", 3), talk=[request])
     assert bus.heard == []
@@ -191,7 +191,7 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 
 
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
-    """A DM-J8009 reports 54 N m. The fragment has the largest torque of a hand file, and says why."""
+    """A DM-J8009 reports 54 N m. The fragment has the largest permitted torque and a comment."""
     result, _, _ = scanned(("mit", 1, "dm8009"))
     text = hand_file_snippet({"a": result.found}, 1_000_000, None)
     assert "torque_max_N_m = 50.0    # the drive reports 54, a hand file takes at most 50" in text
@@ -225,7 +225,7 @@ def test_an_odrive_that_talks_by_itself_is_no_other_host():
 
 
 def test_no_scan_request_enables_torque():
-    """Every frame, thrown at drives that are enabled and hold a torque of zero."""
+    """Send every request to drives that are enabled at zero torque."""
     bench = Bench([drive_spec("mit", node) for node in (1, 2)] + [drive_spec("cia402", node) for node in (1, 32)])
     for node in (1, 2):
         bench.receive(SimFrame(node, b"\xff" * 7 + b"\xfc"))

@@ -1,4 +1,4 @@
-"""The demo in lockstep with every packaged hand in every protocol, over 20 seeds; a sample of them in every run."""
+"""The demo in lockstep with every packaged hand, every protocol and 20 seeds. Ordinary runs test a sample."""
 
 import os
 

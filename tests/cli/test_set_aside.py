@@ -1,4 +1,4 @@
-"""The demo in slower time: logs of the attempt that was too late are renamed, those of earlier runs stay."""
+"""The demo repeated in slower time: logs of a failed attempt are renamed, logs of earlier runs stay."""
 
 import pytest
 

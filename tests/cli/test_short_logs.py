@@ -1,4 +1,4 @@
-"""What a run leaves that died early, or whose clock lies: no tick, too few, in no order; every verb has an answer."""
+"""Logs with no tick, few ticks, or ticks in a wrong order: every verb handles them."""
 
 import struct
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def ticks_of(log: RunLog) -> list[bytes]:
-    """The ticks of a log as the recorder is given them."""
+    """Return the ticks of a log as the recorder gets them."""
     axes = [len(log.header.axis(name)) for name in ("joint", "tendon", "motor", "digit")]
     pairs = zip(log.messages(), log.packed(), strict=True)
     return [SIZES.pack(len(message), *axes) + message + numbers for message, numbers in pairs]
 
 
 def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
-    """A whole log of other ticks."""
+    """Write a complete log with other ticks."""
     writer = LogWriter(path, log.header, lambda *what: None, 1)
     for tick in ticks:
         writer.add(tick)
@@ -54,7 +54,7 @@ def test_every_verb_has_an_answer(ticks: slice, place: Path, capsys: pytest.Capt
 
 
 def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
-    """The same tick at another time."""
+    """Return the same tick at another time."""
     at = SIZES.size + 4
     k, t_ns = struct.unpack_from("<qq", tick, at)
     return tick[:at] + struct.pack("<qq", k + ticks, t_ns + ticks * period_ns) + tick[at + 16 :]

@@ -1,4 +1,4 @@
-"""A verb in a pipe that nobody reads, without room, without streams, and ended by a signal."""
+"""A verb with a closed pipe, a full disk, no standard streams, or a signal."""
 
 import json
 import os
@@ -21,7 +21,7 @@ BUFFERED = {key: value for key, value in os.environ.items() if key != "PYTHONUNB
 
 
 def shell(redirected, words=VERSION, **environment):
-    """A verb as a shell starts it: exit code, output, errors."""
+    """Run a verb as a shell does. Return exit code, output and errors."""
     command = ["sh", "-c", f'exec "$0" "$@" {redirected}', *words]
     ran = subprocess.run(command, env=BUFFERED | environment, capture_output=True, text=True, check=False)
     return ran.returncode, ran.stdout, ran.stderr

@@ -1,4 +1,4 @@
-"""``handctl tune`` and ``handctl identify`` as a person or a program uses them; what they compute is stood in for."""
+"""``handctl tune`` and ``handctl identify`` as a user or a program calls them, with fakes for the computation."""
 
 import json
 import shlex
@@ -29,7 +29,7 @@ A = Namespace(candidate="new.toml", hand="jamia")
 
 @pytest.fixture
 def searched(monkeypatch):
-    """A search that is over at once, with the trials that are put into it."""
+    """Replace the search by one that returns given trials at once."""
     trials = []
     monkeypatch.setattr("handctl.tune.search.search.run_search", lambda *words: SearchResult.of(tuple(trials)))
     monkeypatch.setattr("handctl.cli.tuning.tune_search._design_start", lambda *words: ())
@@ -188,7 +188,7 @@ def found_of(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
 
 
 def _identifies(monkeypatch, made, found):
-    """Let ``handctl identify --lockstep`` find what is given."""
+    """Make ``handctl identify --lockstep`` return given values."""
     outcome = SimpleNamespace(refuse_unfinished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
@@ -198,7 +198,7 @@ def _identifies(monkeypatch, made, found):
 
 
 def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys, monkeypatch):
-    """One line says which digit, what of it, why, and what to do."""
+    """One line names the digit, the parameters, the reason, and the next step."""
     hand, path = load_hand("jamia"), place / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
@@ -218,7 +218,7 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys,
 
 @pytest.mark.parametrize("others", [(), ("ring",), ("ring", "thumb")])
 def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, others):
-    """Springs of 3.05 were found for 1.2 where fingers touched each other, and were kept."""
+    """Regression: springs of 3.05 instead of 1.2 were stored, because fingers touched each other."""
     hand, path = load_hand("jamia"), place / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
@@ -243,7 +243,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
 @pytest.mark.parametrize("words", [("--output", "x.png"), ("--output", "x.toml", "--picture", "./x.toml")])
 @pytest.mark.parametrize("kind", ["design", "search"])
 def test_gains_and_picture_are_two_files(place, capsys, kind, words):
-    """The picture would be written over the gains."""
+    """Otherwise the picture would overwrite the gains."""
     assert "the name of the picture" in refused(capsys, "tune", kind, "--plants", "1", *words)
     assert not list(place.iterdir())
 
@@ -337,7 +337,7 @@ def test_the_simulator_refuses_the_same(capsys, words, said):
 
 
 def next_words(out):
-    """The words of the command that a verb has printed to go on with."""
+    """Return the words of the next command that a verb has printed."""
     [line] = [line for line in out.splitlines() if line.startswith("next: handctl ")]
     return shlex.split(line)[2:]
 
@@ -368,7 +368,7 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
 
 @pytest.mark.nightly
 def test_what_was_identified_in_lockstep_is_tuned_verified_and_applied_in_lockstep(place, capsys):
-    """Each command is the one that the verb before it has printed, in short."""
+    """Each command is the one that the verb before has printed, with less work."""
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0
     words = next_words(capsys.readouterr().out)

@@ -1,4 +1,4 @@
-"""Every verb's example runs as printed, JSON is JSON, a dry run opens nothing, and logs are judged by their state."""
+"""Every example runs as printed, JSON is valid, a dry run opens no bus, and exit codes depend on the state of a log."""
 
 import json
 import os
@@ -42,7 +42,7 @@ def test_the_protocols_to_choose_are_those_that_there_are():
 
 
 def spoken(capsys, *words):
-    """What a verb says with --json."""
+    """Return the output of a verb with --json."""
     code = main([*words, "--json"])
     out, _ = capsys.readouterr()
     return code, json.loads(out)
@@ -107,7 +107,7 @@ def test_a_dry_run_of_gains_tells_them(place, capsys):
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    """A small log of a run that ended well."""
+    """Return a small log of a successful run."""
     from handctl.core.types import TELEMETRY_AXES, Mode, Telemetry, TickIn, TickOut
     from handctl.hand.load import load_hand
     from handctl.log.header import RunHeader

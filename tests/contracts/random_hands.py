@@ -1,4 +1,4 @@
-"""Random hands of any number of tendons, ticked with made-up frames, and a hash of each tick."""
+"""Random hands with any number of tendons, ticked with synthetic frames, and a hash of each tick."""
 
 import hashlib
 import json

@@ -95,7 +95,7 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
 
 
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
-    """Of an array with gaps, the elements between its own would be read."""
+    """In an array with gaps, a kernel would read the elements between."""
 
     @njit
     def third(values: np.ndarray) -> float:
@@ -147,7 +147,7 @@ def copy(tmp_path: Path) -> Path:
 
 
 def ask(package: Path, cache: Path) -> tuple[bool, bool, bool]:
-    """Run the kernel of a copy.
+    """Run the kernel of a copy, and return its result.
 
     Returns:
         Its result, whether its code was stored before, and whether code can be stored.
@@ -175,7 +175,7 @@ def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path:
 
 
 def test_two_installations_of_one_version_store_their_code_apart(copy: Path, tmp_path: Path) -> None:
-    """Check that the code of one is not counted as that of the other, which would then compile with one core."""
+    """Otherwise the code of one would count for the other, which would then compile with one core."""
     cache, other = tmp_path / "cache", tmp_path / "other" / copy.name
     shutil.copytree(copy, other)
     for package in (copy, other):

@@ -1,4 +1,4 @@
-"""The recipes of CONTRIBUTING.md are carried out, and the files that it names exist."""
+"""The recipes of CONTRIBUTING.md work, and the files that it names exist."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The wheel, installed from the index into a fresh environment outside the repository, does the main job.
+"""The wheel, installed into a fresh environment outside the repository, runs the demo.
 
 The controller's own packages come first, then the extras: what the first part needs cannot come from the second.
 """
@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1800)]
 
 
 class Fresh:
-    """An environment that knows nothing of the repository.
+    """An environment without access to the repository.
 
     Args:
         folder: where it is made; programs run beside it.

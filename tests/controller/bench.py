@@ -1,4 +1,4 @@
-"""A hand made of scripted motors, ropes and load cells, and a bench that lets a controller tick against it.
+"""A hand with scripted motors, tendons and load cells, and a bench that runs a controller tick by tick with it.
 
 Much less than the simulator, and therefore fast: every digit stands on its open stop, a rotor winds an elastic rope
 against it. Everything that comes and goes can be lost, changed or invented on the way.
@@ -27,7 +27,7 @@ SLACK_M = 0.3e-3
 
 
 class ToyHand:
-    """The other side of the wire; ``step`` is that of a lockstep peer.
+    """The simulated hand. Its ``step`` is that of a lockstep peer.
 
     Attributes:
         motors: one per tendon.
@@ -53,7 +53,7 @@ class ToyHand:
         self.force_of = [0.0] * n
 
     def step(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
-        """Answers to the frames of a tick; then the ropes move on to the next."""
+        """Reply to the frames of a tick, and advance the tendons to the next tick."""
         answers: list[Frame] = []
         for raw in frames:
             frame = Frame(*raw)
@@ -70,11 +70,11 @@ class ToyHand:
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
 
     def tear(self, i: int) -> None:
-        """Tear rope i: it bears nothing any more, however fast its spool runs."""
+        """Tear tendon i. It has no tension from now on, at any speed of its spool."""
         self.stiffness[i] = self.damping[i] = 0.0
 
     def close(self) -> None:
-        """Nothing is kept."""
+        """Close nothing."""
 
     def _codes(self, i: int) -> tuple[int, int, int]:
         angle, speed = self.x[i] / self.spool[i], self.v[i] / self.spool[i]
@@ -106,7 +106,7 @@ class ToyHand:
 
 
 def _packed(base: int, counter: int, values: list[int]) -> list[Frame]:
-    """Up to five channels of 12 bits a frame, after a counter of four, from the lowest bit."""
+    """Pack up to five channels of 12 bits into each frame, after a counter of four bits, from the lowest bit."""
     frames = []
     for group, start in enumerate(range(0, len(values), 5)):
         part = values[start : start + 5]
@@ -116,12 +116,12 @@ def _packed(base: int, counter: int, values: list[int]) -> list[Frame]:
 
 
 def register(value: float) -> bytes:
-    """A register's float as it is on the wire."""
+    """Return the float of a register in its byte order on the bus."""
     return struct.pack("<f", value)
 
 
 def controller(model: HandModel, program: Program, arm: bool = True) -> Controller:
-    """A controller of the whole hand, not commissioned."""
+    """Return a controller of the whole hand, not commissioned."""
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
@@ -132,7 +132,7 @@ def controller(model: HandModel, program: Program, arm: bool = True) -> Controll
 
 @dataclass
 class Bench:
-    """A controller and the other side, tick after tick.
+    """A controller and the simulated hand, tick by tick.
 
     Attributes:
         controller: under test.
@@ -159,7 +159,7 @@ class Bench:
         skip: int = 0,
         extra: tuple[Frame, ...] = (),
     ) -> TickOut:
-        """One tick; ``skip`` deadlines are missed before it."""
+        """Run one tick after ``skip`` missed deadlines."""
         for _ in range(skip):
             self.waiting += self.peer.step(self.k * self.period_ns, [])
             self.k += 1
@@ -173,7 +173,7 @@ class Bench:
         return out
 
     def until(self, mode: Mode, timeout: float = 12.0) -> TickOut:
-        """Ticks until a mode is entered."""
+        """Run ticks until the controller enters a mode."""
         for _ in range(round(timeout / self.controller.model.period)):
             out = self.tick()
             if out.mode == mode:
@@ -181,14 +181,14 @@ class Bench:
         raise AssertionError(f"{mode.name} is not reached: {self.state.mode.name}, {self.events[-3:]}")
 
     def run(self, seconds: float) -> TickOut:
-        """Ticks for a while."""
+        """Run ticks for a duration."""
         for _ in range(round(seconds / self.controller.model.period)):
             out = self.tick()
         return out
 
     @property
     def modes(self) -> list[Mode]:
-        """Modes met, in order."""
+        """Return the modes so far, in order."""
         seen: list[Mode] = []
         for _, _, out in self.history:
             if not seen or seen[-1] != out.mode:
@@ -197,10 +197,10 @@ class Bench:
 
     @property
     def events(self) -> list[Event]:
-        """All events so far."""
+        """Return all events so far."""
         return [event for _, _, out in self.history for event in out.events]
 
 
 def bench(model: HandModel, program: Program, arm: bool = True) -> Bench:
-    """A bench with a good hand."""
+    """Return a bench with a healthy hand."""
     return Bench(controller(model, program, arm), ToyHand(model.hand, round(model.period * 1e9)))

@@ -1,4 +1,4 @@
-"""Hands with everything that follows from them, made once: the design of the gains takes a while."""
+"""Models of the packaged hands, computed once because the design of the gains takes long."""
 
 import pytest
 
@@ -15,26 +15,26 @@ DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
 
 @pytest.fixture(scope="session")
 def jamia() -> HandModel:
-    """One tendon a digit, at its default rate."""
+    """Return the hand with one tendon per digit, at its default rate."""
     return HandModel.of(load_hand("jamia"), Gains(), DEFAULT_RATES["jamia"])
 
 
 @pytest.fixture(scope="session")
 def jamia11() -> HandModel:
-    """One tendon a joint, with joint encoders, at its default rate."""
+    """Return the hand with one tendon per joint and with joint encoders, at its default rate."""
     return HandModel.of(load_hand("jamia11"), Gains(), DEFAULT_RATES["jamia11"])
 
 
 @pytest.fixture(params=["jamia", "jamia11"])
 def model(request: pytest.FixtureRequest) -> HandModel:
-    """Every packaged hand."""
+    """Return the model of each packaged hand."""
     found: HandModel = request.getfixturevalue(request.param)
     return found
 
 
 @pytest.fixture(scope="module")
 def active() -> Bench:
-    """A hand in action that holds something."""
+    """Return an active hand that holds a tension."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(1.0)

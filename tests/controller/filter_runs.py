@@ -18,7 +18,7 @@ from tests.controller.synthetic import Estimate, Readings, blank, constants, est
 
 
 class FilterState(NamedTuple):
-    """What the filter hands to the next tick, per tendon.
+    """State of the filter between two ticks, per tendon.
 
     Attributes:
         x: (7N,) the seven states, tendon after tendon.
@@ -45,7 +45,7 @@ class FilterState(NamedTuple):
 
     @staticmethod
     def of(x: np.ndarray, regime: Regime, stopped: bool) -> "FilterState":
-        """Every tendon in one regime, with states (7N,)."""
+        """Return every tendon in one regime, with states (7N,)."""
         n = len(x) // STATES
         none = np.zeros(n)
         no = (False,) * n
@@ -54,7 +54,7 @@ class FilterState(NamedTuple):
 
     @staticmethod
     def initial(n: int) -> "FilterState":
-        """Before any sensor was read."""
+        """Return the filter state before any sensor was read."""
         return FilterState.of(np.zeros(STATES * n), Regime.SLACK, stopped=True)._replace(started=False)
 
 
@@ -66,7 +66,7 @@ ROWS = {
 
 
 def put(state: State, filtered: FilterState) -> None:
-    """Write a filter's state into a controller's."""
+    """Write a filter state into the state of a controller."""
     state.tendon[s.TRAVEL : s.TRAVEL + STATES] = filtered.x.reshape(-1, STATES).T
     for name, row in ROWS.items():
         state.view(row)[...] = getattr(filtered, name)
@@ -78,7 +78,7 @@ def put(state: State, filtered: FilterState) -> None:
 
 
 def taken(state: State) -> FilterState:
-    """Read a filter's state from a controller's."""
+    """Read the filter state from the state of a controller."""
     booleans = ("stopped", "measured", "doubtful")
     found = {
         name: tuple(map(bool if name in booleans else int, state.view(row)))
@@ -109,7 +109,7 @@ def tick(
     friction_state: np.ndarray | None = None,
     missed: int = 0,
 ) -> tuple[FilterState, Estimate]:
-    """Take in the measurements of one tick and predict to the present, by the stages of a tick.
+    """Process the measurements of one tick and predict to the present, with the stages of a tick.
 
     Args:
         model: the hand. state: from the last tick. measured: at the last tick's instant.
@@ -134,7 +134,7 @@ def tick(
 
 
 def resting(model: HandModel, tension: float, closed: float) -> tuple[np.ndarray, np.ndarray]:
-    """State (N, 7) of a hand at rest with all joints at ``closed`` [rad], and the motor forces that hold it there."""
+    """Return state (N, 7) and motor forces of a hand at rest with all joints at ``closed`` [rad]."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), closed)
     x[:, X] = x[:, S] + tension / model.space.stiffness
@@ -144,12 +144,12 @@ def resting(model: HandModel, tension: float, closed: float) -> tuple[np.ndarray
 def step(
     model: HandModel, state: FilterState, measured: Readings, force: np.ndarray, contact: tuple[bool, ...]
 ) -> tuple[FilterState, Estimate]:
-    """A tick in which no change of tension is intended."""
+    """Run a tick without a planned change of tension."""
     return tick(model, state, measured, force, np.zeros(model.tendon_count), contact)
 
 
 def readings(model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False) -> Readings:
-    """What noiseless sensors read of a state (N, 7) with these tensions; joint encoders only if asked."""
+    """Return noiseless sensor readings of a state (N, 7) with given tensions, with joint encoders on request."""
     return nothing_read(model)._replace(
         travel=x[:, X].copy(),
         tension=tension,
@@ -158,17 +158,17 @@ def readings(model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bo
 
 
 def all_in(model: HandModel, regime: Regime, x: np.ndarray) -> FilterState:
-    """Every tendon in one regime, digits off their stops."""
+    """Return every tendon in one regime, with all digits away from their stops."""
     return FilterState.of(x.ravel(), regime, stopped=False)
 
 
 def nowhere(model: HandModel) -> tuple[bool, ...]:
-    """No digit is in contact."""
+    """Return that no digit is in contact."""
     return (False,) * len(model.digits)
 
 
 def start(model: HandModel, state: FilterState, travel: np.ndarray, cells: bool = True) -> FilterState:
-    """The filter's state once encoders have told these travels [m], and the load cells something if ``cells``."""
+    """Return the filter state after readings of the encoders [m], and of the load cells if ``cells``."""
     run = state_of(model, state)
     run.mode = Mode.SILENT
     run.view("position")[...] = travel / model.space.spool
@@ -178,7 +178,7 @@ def start(model: HandModel, state: FilterState, travel: np.ndarray, cells: bool 
 
 
 def corrected(model: HandModel, state: FilterState, measured: Readings) -> State:
-    """The state of a hand that touches nothing once measurements were taken in, before the prediction."""
+    """Return the state of a free hand after the measurement update, before the prediction."""
     run = state_of(model, state)
     read(run, measured)
     stages.correct_estimate(run.block, run.layout.places, *constants(model))
@@ -186,7 +186,7 @@ def corrected(model: HandModel, state: FilterState, measured: Readings) -> State
 
 
 def state_of(model: HandModel, filtered: FilterState) -> State:
-    """A controller's state with that of the filter."""
+    """Return the state of a controller with the given filter state."""
     run = blank(model)
     run.mode = Mode.ARMING  # in which a planned contact counts, and none is felt
     put(run, filtered)
@@ -194,5 +194,5 @@ def state_of(model: HandModel, filtered: FilterState) -> State:
 
 
 def parts(model: HandModel, kinds: tuple[int, ...], name: str) -> np.ndarray:
-    """A part of the design of every tendon in its kind, (N, ...)."""
+    """Return a part of the filter design of each tendon in its regime, (N, ...)."""
     return np.array([getattr(own[kind], name) for own, kind in zip(model.filter.blocks, kinds, strict=True)])

@@ -1,4 +1,4 @@
-"""Goals of a whole hand, for what is driven by them."""
+"""Goals of a whole hand, for tests of the control law."""
 
 import math
 
@@ -12,7 +12,7 @@ from handctl.core.model import HandModel
 def moving(
     model: HandModel, start: float, end: float, duration: float | tuple[float, ...], since: float = 0.0
 ) -> tuple[DigitGoal, ...]:
-    """Every digit from an angle to another [rad]; all in the same time [s], or each in its own."""
+    """Return goals that move every digit between two angles [rad], all in one duration [s] or each in its own."""
     durations = duration if isinstance(duration, tuple) else (duration,) * len(model.digits)
     sizes = [digit.coupling.shape[1] for digit in model.digits]
     return tuple(
@@ -22,7 +22,7 @@ def moving(
 
 
 def holding(model: HandModel, tension: float, rate: float = 200.0, limit: float = math.inf) -> tuple[DigitGoal, ...]:
-    """Every tendon at a tension [N]."""
+    """Return goals that hold every tendon at a tension [N]."""
     return tuple(
         DigitGoal(Kind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)
         for s in model.digit_tendons

@@ -1,4 +1,4 @@
-"""Single ticks of the control law for tests: what it carries from tick to tick, and what it commands."""
+"""Single ticks of the control law for tests: its state between ticks, and its commands."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from tests.controller.synthetic import Estimate, blank, constants, controller_of
 
 
 class LawState(NamedTuple):
-    """What the law hands to the next tick, (N,) each.
+    """State of the control law between two ticks, (N,) each.
 
     Attributes:
         setpoint: of the tension loop [N]. integral: its integral part [N]. force: motor force without friction [N].
@@ -43,17 +43,17 @@ class LawState(NamedTuple):
 
     @staticmethod
     def initial(n: int) -> "LawState":
-        """Nothing commanded."""
+        """Return a state without a command."""
         return LawState.idle(np.zeros(n))
 
     @staticmethod
     def idle(tension: np.ndarray) -> "LawState":
-        """Nothing commanded while the tendons carry a tension (N,) [N]."""
+        """Return a state without a command, with tensions (N,) of the tendons [N]."""
         return LawState(tension, *np.zeros((4, len(tension))))
 
 
 class Command(NamedTuple):
-    """What the law decided: (N,) motor torque [N m] and tension goal [N], (J,) joint torque [N m] and goals."""
+    """Output of the control law: (N,) motor torque [N m] and tension goal [N], (J,) joint torque [N m] and goals."""
 
     torque: np.ndarray
     tension: np.ndarray
@@ -86,7 +86,7 @@ def step(
     most: np.ndarray | None = None,
     held: np.ndarray | None = None,
 ) -> tuple[LawState, Command]:
-    """One tick of the law for all digits.
+    """Run one tick of the control law for all digits.
 
     Args:
         model: the hand. law: from the last tick. estimate: of this instant. goals: per digit. t: time [s].
@@ -110,7 +110,7 @@ def step(
 
 
 def carried(state: State) -> LawState:
-    """What the law has left in a state."""
+    """Return the state of the control law after a tick."""
     kept = {name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")}
     trim = state.view("trim").copy() if state.whole(s.TRIMMED) else None
     held = state.view("limit_held").copy() if state.whole(s.HOLDING) else None
@@ -118,7 +118,7 @@ def carried(state: State) -> LawState:
 
 
 def command_of(state: State) -> Command:
-    """What the law has commanded."""
+    """Return the commands of the control law."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
     return Command(*(state.view(name).copy() for name in names))
 
@@ -129,7 +129,7 @@ def _limit(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarray:
 
 
 def limit_of(model: HandModel, state: State) -> np.ndarray:
-    """Tension (N,) that must not be exceeded in a state [N], besides the hand's own limits; infinite for none."""
+    """Return the tension limit (N,) in a state [N], infinite for none. The hand's own limits come in addition."""
     return _limit(state.block, state.layout.places, *constants(model))
 
 
@@ -141,7 +141,7 @@ def _required(block: Block, at: Places, of: Block, of_at: Places, way: np.ndarra
 
 
 def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> np.ndarray:
-    """Tensions (N,) at the joints that make the torques of a motion (3, J) of the digits that move [N]."""
+    """Return the tensions (N,) at the joints for the torques of a motion (3, J) of the digits that move [N]."""
     state = blank(model)
     write_goals(model, state.layout, state.block, goals)
     undecided = _required(state.block, state.layout.places, *constants(model), way)
@@ -150,7 +150,7 @@ def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> 
 
 
 def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
-    """Angles, rates and accelerations (3, J) of the joints on their trajectories at time t [s]."""
+    """Return angles, rates and accelerations (3, J) of the joints on their trajectories at time t [s]."""
     state = blank(model)
     commanded(model, state, goals, t, Action.PASS)
     return stages.joint_motion(state.block, state.layout.places, *constants(model))

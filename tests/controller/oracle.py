@@ -1,4 +1,4 @@
-"""The tendon's differential equations written out once more, and a second way to a steady-state Kalman gain."""
+"""Independent implementation of the tendon's differential equations and of a steady-state Kalman gain."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -13,7 +13,7 @@ SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
 def rates_of_change(
     model: HandModel, i: int, regime: Regime, state: np.ndarray, force: float, rate: float
 ) -> np.ndarray:
-    """The equations of tendon i, state by state."""
+    """Return the rates of change of the states of tendon i."""
     space, gains = model.space, model.gains.filter
     x, v, s, w, d, e, o = state
     f = 0.0
@@ -28,14 +28,14 @@ def rates_of_change(
 
 
 def on_the_motor(model: HandModel, regime: Regime) -> tuple[float, float, float]:
-    """Unknown force on the motor [N], how long it lasts [s], and noise on it [N]: friction is known least at rest."""
+    """Return unknown force on the motor [N], its time constant [s] and noise [N]. Friction is least certain at rest."""
     kind = "held" if regime == Regime.HELD else "motor"
     names = ("disturbance_N", "disturbance_time_s", "acceleration_noise_N")
     return tuple(getattr(model.gains.filter, f"{kind}_{name}") for name in names)
 
 
 def jacobians(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray]:
-    """A and B column by column; the equations are linear."""
+    """Return A and B column by column. The equations are linear."""
     zero = np.zeros(STATES)
     A = np.column_stack([rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATES)])
     return A, np.column_stack([rates_of_change(model, i, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))])
@@ -66,7 +66,7 @@ def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
 
 
 def over_one_period(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """F, B and noise covariance of one period in scaled units, by a Runge-Kutta method."""
+    """Return F, B and noise covariance of one period in scaled units, by a Runge-Kutta method."""
     A, B = jacobians(model, i, regime)
     A, B = A * SCALE / SCALE[:, None], B / SCALE[:, None]
     Q = intensity(model, i, regime) / np.outer(SCALE, SCALE)
@@ -82,13 +82,13 @@ def over_one_period(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarra
 
 
 def measurement_noise(model: HandModel, i: int) -> np.ndarray:
-    """Standard deviation of encoder and load cell that the gains are for."""
+    """Return the standard deviations of encoder and load cell for which the gains are designed."""
     space, gains = model.space, model.gains.filter
     return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
 
 
 def by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Covariance of the prediction in steady state, by the structured doubling algorithm (Anderson 1978)."""
+    """Return the steady-state covariance of the prediction by structured doubling (Anderson 1978)."""
     A, G, P = F.T, H.T @ np.linalg.solve(R, H), Q
     for _ in range(60):
         middle = np.linalg.inv(np.eye(len(A)) + G @ P)
@@ -100,14 +100,14 @@ def by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray) -> n
 
 
 def assumed_measurements(block: Block, regime: Regime) -> np.ndarray:
-    """H (2, 7) for which the gain is designed: the load cell's error is looked for in slack only."""
+    """Return H (2, 7) of the gain design. Only for a slack tendon it contains the error of the load cell."""
     H = block.H[:2].copy()
     H[1, E] = float(regime == Regime.SLACK)
     return H
 
 
 def joseph(block: Block, P: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain (7, 2) and covariance after an update by encoder and load cell, of which some may be missing, (2,) bool.
+    """Return gain (7, 2) and covariance after an update by encoder and load cell. A mask (2,) marks those present.
 
     The load cell's error is told from tension in slack only: elsewhere it is not corrected, and goes on to count.
     """

@@ -1,4 +1,4 @@
-"""A program against the simulated hand in this process, without bus, clock or log."""
+"""Run a program on the simulated hand in this process, without bus, clock or log."""
 
 import math
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ GONE_M = 0.05
 
 @cache
 def model_of(hand: str) -> HandModel:
-    """A hand's model; designed once."""
+    """Return the model of a hand, designed once."""
     return HandModel.of(load_hand(hand), Gains(), RATE_HZ)
 
 
@@ -38,7 +38,7 @@ class PlantRun:
     events: list[tuple[float, Event]] = field(default_factory=list)
 
     def told(self, name: str) -> list[tuple[float, str]]:
-        """When and where events of a name were told."""
+        """Return time and instance of each event with a name."""
         return [(t, event.where) for t, event in self.events if event.name == name]
 
 

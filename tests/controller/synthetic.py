@@ -1,4 +1,4 @@
-"""Estimates, measurements and states made up for a hand, for what runs on top of the filter.
+"""Synthetic estimates, measurements and states of a hand, for tests of the code that uses the filter.
 
 ``State`` holds all numbers of a tick. ``Estimate`` and ``Readings`` are the parts of it that tests make up: ``written``
 puts an estimate into a state, and ``estimate_of`` takes it out again.
@@ -45,7 +45,7 @@ class Readings(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """The present instant with the names that programs read; see ``handctl.core.estimate.Estimate``."""
+    """Present estimate with the names that programs use, see ``handctl.core.estimate.Estimate``."""
 
     tension: np.ndarray
     sigma: np.ndarray
@@ -75,7 +75,7 @@ DERIVED = ("slack", "grip_opening", "grip")
 
 @functools.cache
 def controller_of(model: HandModel) -> Controller:
-    """A controller of the hand that waits for requests; made once."""
+    """Return a controller of the hand that waits for requests, made once."""
     return controller(model, LiveProgram())
 
 
@@ -90,27 +90,27 @@ def _blank(model: HandModel) -> State:
 
 
 def interpreted(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function that numba compiles, for what only kernels may call and calls nothing itself."""
+    """Return the Python function behind a kernel, for functions that only kernels may call."""
     return getattr(function, "py_func", function)
 
 
 def blank(model: HandModel) -> State:
-    """A state of an active hand whose filter runs: every tendon taut and free, off its stop."""
+    """Return a state of an active hand with a running filter: every tendon taut and free, off its stop."""
     return _blank(model).copy()
 
 
 def constants(model: HandModel) -> tuple[Block, Places]:
-    """The last two arguments of every stage: the hand's constants and their layout."""
+    """Return the last two arguments of every stage: the constants of the hand and their layout."""
     return controller_of(model)._constants
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:
-    """The constants by table, for functions that are run interpreted."""
+    """Return the constants by table, for interpreted functions."""
     return interpreted(constant_tables)(*constants(model))
 
 
 def written(model: HandModel, estimate: Estimate) -> State:
-    """A state of an active hand with this estimate."""
+    """Return a state of an active hand with a given estimate."""
     state = blank(model)
     for name, value in estimate._asdict().items():
         if name not in DERIVED:
@@ -120,14 +120,14 @@ def written(model: HandModel, estimate: Estimate) -> State:
 
 
 def estimate_of(state: State) -> Estimate:
-    """The estimate in a state, as copies."""
+    """Return the estimate in a state, as copies."""
     seen = state.estimate
     own = {name: state.view("cell_error") if name == "cell_error" else getattr(seen, name) for name in Estimate._fields}
     return Estimate(**{name: np.array(value) for name, value in own.items()})
 
 
 class LoadStatics(NamedTuple):
-    """Known forces along the tendons, (N,) [N]: what springs and gravity require, and what friction leaves.
+    """Known forces along the tendons, (N,) [N]: spring and gravity loads, and the tension after friction.
 
     Attributes:
         resistance: tension that springs and gravity balance.
@@ -148,7 +148,7 @@ def _load_forces(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarr
 def load_statics(
     model: HandModel, table: np.ndarray, tension: np.ndarray, friction_state: np.ndarray | None = None
 ) -> LoadStatics:
-    """What the filter takes for known of states (N, 7), as if they bore these tensions [N].
+    """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
 
     The offset of the tendons is chosen so that they do; nothing else of it matters here.
     """
@@ -162,13 +162,13 @@ def load_statics(
 
 
 def efficiency(model: HandModel, q: np.ndarray) -> np.ndarray:
-    """Fraction of each tendon's tension (N,) that acts at its joints while it winds, at joint angles (J,) [rad]."""
+    """Return the fraction of each tension (N,) that acts at the joints while winding, at joint angles (J,) [rad]."""
     of = constant_tables_of(model)
     return np.array([interpreted(winding_efficiency)(of, n, q) for n in range(model.tendon_count)])
 
 
 def known(model: HandModel, x: np.ndarray) -> Estimate:
-    """An estimate that knows a state (N, 7) exactly; taut and untouched."""
+    """Return an estimate that equals a state (N, 7) exactly, with taut tendons and free digits."""
     n = model.tendon_count
     q, dq = np.zeros(len(model.hand.joints)), np.zeros(len(model.hand.joints))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -201,7 +201,7 @@ def known(model: HandModel, x: np.ndarray) -> Estimate:
 
 
 def at_rest(model: HandModel, closed: float) -> np.ndarray:
-    """State (N, 7) in balance with springs and weight, all coordinates at ``closed`` [rad]."""
+    """Return a state (N, 7) in balance with springs and weight, with all coordinates at ``closed`` [rad]."""
     x = np.zeros((model.tendon_count, STATES))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], closed)
@@ -210,23 +210,23 @@ def at_rest(model: HandModel, closed: float) -> np.ndarray:
 
 
 def under(model: HandModel, tension: float | np.ndarray, closed: float = 0.0) -> Estimate:
-    """An estimate of a still hand whose tendons carry a tension."""
+    """Return an estimate of a hand at rest with a given tension in its tendons."""
     return known(model, at_rest(model, closed))._replace(tension=np.full(model.tendon_count, 1.0) * tension)
 
 
 def slack(model: HandModel) -> Estimate:
-    """An estimate of a hand whose tendons carry nothing."""
+    """Return an estimate of a hand with slack tendons."""
     return under(model, 0.0)._replace(slack=np.ones(model.tendon_count, dtype=bool))
 
 
 def nothing_read(model: HandModel) -> Readings:
-    """A tick in which no frame came."""
+    """Return the readings of a tick without frames."""
     n, joints = model.tendon_count, len(model.hand.joints)
     return Readings(np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan))
 
 
 def concluded(model: HandModel, state: State, estimate: Estimate) -> Estimate:
-    """The estimate with what a tick feels of closing and holding digits; the state remembers it, and who closes.
+    """Return the estimate after contact detection of a tick. The state stores the contacts and the closing digits.
 
     Args:
         model: the hand. state: of the tick before, in which this one is written. estimate: of this tick.

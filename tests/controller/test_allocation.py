@@ -1,4 +1,4 @@
-"""Allocation against a bounded least-squares solver, and its promises about bounds and feasible torques."""
+"""Allocation compared with a bounded least-squares solver, its bounds, and feasible torques."""
 
 import numpy as np
 import pytest
@@ -47,14 +47,14 @@ def test_feasible_torques_are_made_exactly(case: str) -> None:
 
 
 def cost(arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.ndarray) -> float:
-    """What the module says that it minimises."""
+    """Return the cost that the module states in its docstring."""
     r = np.abs(arms).mean()
     return float(((arms.T @ tension - torque) ** 2).sum() / r**2 + REGULARISATION * ((tension - floor) ** 2).sum())
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_bounded_solution_has_the_smallest_error(case: str) -> None:
-    """scipy's bounded least squares finds no tension that costs less, whatever the torque."""
+    """scipy's bounded least squares finds no tensions with a smaller cost for any torque."""
     arms, rng = arms_of(case), np.random.default_rng(2)
     n, r = len(arms), np.abs(arms).mean()
     outside = 0

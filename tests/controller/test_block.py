@@ -1,4 +1,4 @@
-"""The block of numbers: its schema, what kernels see of it, and that nothing of a state escapes its digest."""
+"""The state block: its schema, the views of the kernels, and the digest, which covers every field."""
 
 import random
 from collections.abc import Iterator
@@ -47,7 +47,7 @@ def names_of(of: list[Field]) -> list[str]:
 
 
 def small() -> tuple[Schema, dict[str, int]]:
-    """A schema of three tables, and lengths of its axes."""
+    """Return a schema of three tables, and the lengths of its axes."""
     schema = Schema("tendon", "joint*tendon", "run", "tendon_int")
     schema.real("tension", "tendon", "N", "of a tendon", initial=2.5)
     schema.real("past", "tendon", "N", "the last ones", rows=3)
@@ -70,7 +70,7 @@ def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
 
 
 def test_new_field_needs_one_line() -> None:
-    """It gets the next row of its table; what was there keeps its name and its shape."""
+    """A new field gets the next row of its table. Existing fields keep their names and shapes."""
     (before, axes), (after, _) = small(), small()
     row = after.real("speed", "tendon", "m/s", "of a tendon", initial=7.0)
     old, new = before.layout(axes), after.layout(axes)
@@ -100,7 +100,7 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
 
 @pytest.fixture(params=["jamia", "jamia11"])
 def state(request: pytest.FixtureRequest) -> State:
-    """Any state whose numbers all differ: wholes and reals from a generator."""
+    """Return a random state whose integers and floats all differ."""
     model: HandModel = request.getfixturevalue(request.param)
     layout, rng = layout_of_state(model, 3), np.random.default_rng(5)
     block = layout.initial.copy()
@@ -157,7 +157,7 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
 def test_a_difference_names_its_field(state: State, field: Field) -> None:
-    """The first one in the order of the schema, with the element and both values."""
+    """The named difference is the first in the order of the schema, with its element and both values."""
     other = state.copy()
     values = other.view(field.name).reshape(-1)
     at = len(values) // 2
@@ -186,7 +186,7 @@ def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: State) -> None
 
 
 def random_hand(seed: int) -> HandModel:
-    """Some digits of a packaged hand, or of one of fifteen motors, with other masses, springs and friction."""
+    """Return digits of a packaged hand or of a hand with 15 motors, with other masses, springs and friction."""
     chance = random.Random(seed)
     raw: dict[str, Any] = fifteen_motors()
     if seed % 3:
@@ -209,7 +209,7 @@ VARIED = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "
 
 
 def _varied(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
-    """A section with other numbers."""
+    """Return a section with other numbers."""
     found = dict(one)
     for key in VARIED:
         if key in found:
@@ -219,7 +219,7 @@ def _varied(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
 
 
 def packed(model: HandModel, monkeypatch: pytest.MonkeyPatch) -> tuple[HandConstants, dict[str, object]]:
-    """The constants of a hand, and by field what was packed."""
+    """Return the constants of a hand, and the packed values by field."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
     for part in ("_motor_constants", "_law_constants", "_link_constants", "_structure_constants", "_posture_constants"):
         own = getattr(hand_constants, part)(model)
@@ -263,7 +263,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(hand: str | int, mon
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
 def test_every_element_of_every_field_changes_the_digest(active: Bench, field: Field) -> None:
-    """By the least that a number can change."""
+    """Change each element by one unit in the last place."""
     state = active.state
     seen = {state.digest()}
     for at in range(state.view(field.name).size):
@@ -291,7 +291,7 @@ def goals() -> Iterator[tuple[str, DigitGoal]]:
 
 
 def progresses(before: Progress) -> Iterator[tuple[str, Progress]]:
-    """Progress with one part changed, for every part; goals in every part of theirs."""
+    """Yield progress with one changed part, for every part, and with goals changed in every part."""
     grip = Grip(np.full(4, 20.0), np.full(4, np.nan), 1.0)
     values: dict[str, list[Any]] = {
         "step": [before.step + 1], "since": [before.since + 1e-9], "phase": ["x"], "finished": [True],
@@ -316,7 +316,7 @@ OTHER_STREAM = {
 
 
 def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
-    """Decisions with one part changed, for every part."""
+    """Yield decisions with one changed part, for every part."""
     pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [before.drives[::-1]],
@@ -358,7 +358,7 @@ def test_every_decision_changes_the_digest(active: Bench) -> None:
 
 
 def others(value: Any) -> list[Any]:
-    """Other values of the same kind; of a named tuple with one part changed each."""
+    """Return other values of the same type. A named tuple changes in one part at a time."""
     if isinstance(value, bool):
         return [not value]
     if isinstance(value, Phase):
@@ -374,7 +374,7 @@ def others(value: Any) -> list[Any]:
 
 @pytest.mark.parametrize("name", DriveState._fields)
 def test_everything_that_is_known_of_a_drive_changes_the_digest(active: Bench, name: str) -> None:
-    """Its values are in the block, its set-up is among the decisions."""
+    """Values of a drive are in the block, and its set-up is among the decisions."""
     state = active.state
     seen = {state.digest()}
     for n, drive in enumerate(state.drives):

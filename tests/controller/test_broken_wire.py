@@ -1,4 +1,4 @@
-"""A load cell without its wire, through the whole controller."""
+"""A load cell with a broken wire, in the whole controller."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from tests.controller.bench import Bench, bench
 
 @pytest.mark.parametrize("tare", [-3.0, 0.0, 5.0])
 def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: float) -> None:
-    """The channel is empty, which is no tension however the cell is tared."""
+    """An empty channel is no valid tension for any tare of the load cell."""
     model, n = jamia, jamia.tendon_count
     run = bench(model, LiveProgram())
     run.controller = replace(run.controller, tare=np.full(n, tare))
@@ -28,7 +28,7 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
 
 
 def at_the_rail(model: HandModel) -> Bench:
-    """An active hand that relaxes in this tick, since a load cell is at its upper rail."""
+    """Return an active hand that relaxes in this tick, because a load cell is at its upper rail."""
     run = bench(model, LiveProgram())
     run.until(Mode.ACTIVE)
     run.peer.bias[:] = 60.0  # so that it goes on relaxing
@@ -38,7 +38,7 @@ def at_the_rail(model: HandModel) -> Bench:
 
 
 def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
-    """It may be all that is seen of a drive that does not obey, and of how far it pulls."""
+    """The saturated reading may be the only evidence of a drive that does not obey."""
     run = at_the_rail(jamia)
     began = run.state.mode_since
     run.until(Mode.CUT)

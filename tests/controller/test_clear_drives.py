@@ -1,4 +1,4 @@
-"""A controller died, the drives' watchdogs fired and latched: only a person's order gets them going again."""
+"""After a controller died and watchdogs latched, only a request of the operator enables the drives again."""
 
 import pytest
 
@@ -15,7 +15,7 @@ CLEAR = '{"do": "clear"}'
 
 @pytest.fixture
 def orphaned() -> Bench:
-    """A hand whose last controller died while it was armed."""
+    """Return a hand whose last controller died while the hand was armed."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     for motor in run.peer.motors:
         motor.nibble = COMMUNICATION_LOST

@@ -1,4 +1,4 @@
-"""Commissioning on a hand made up by the test: results, and every way in which a tendon can be wrong."""
+"""Commissioning of a synthetic hand: results, and every fault of a tendon."""
 
 import os
 import re
@@ -30,7 +30,7 @@ from tests.hand.many import fifteen_motors
 
 @pytest.fixture(scope="module")
 def jamia() -> HandModel:
-    """At a slow rate, for speed: all times are in seconds."""
+    """Return the hand at a low rate, which makes the tests fast. All times are in seconds."""
     return HandModel.of(load_hand("jamia"), Gains(), 50.0)
 
 
@@ -59,7 +59,7 @@ def commissioned(
     drift: float = 0.0,
     seed: int = 7,
 ) -> Progress:
-    """Run the program; tendon ``never`` never becomes taut, a share ``loss`` of the ticks brings nothing.
+    """Run the program. Tendon ``never`` never becomes taut, and a fraction ``loss`` of the ticks has no frames.
 
     Each load cell's zero walks at random by ``drift`` [N] in 100 s.
     """
@@ -121,7 +121,7 @@ def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
 
 
 def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> None:
-    """Pulling the second moves the first too: tendons that touch, or a cell wired to two channels."""
+    """Tension in the second tendon moves the first cell: tendons touch, or a cell is wired to two channels."""
 
     def cells(i: int) -> np.ndarray:
         tension = good(model)(i)
@@ -141,7 +141,7 @@ def fifteen() -> HandModel:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fifteen: HandModel, seed: int) -> None:
-    """Twice the packaged hands' drift: 0.9 N rms by the end, which is the limit of crosstalk."""
+    """The drift is twice that of the packaged hands: 0.9 N rms at the end, the limit of crosstalk."""
     progress = commissioned(fifteen, good(fifteen), drift=2.0, seed=seed)
     assert not progress.failure
     found = calibration_of_result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
@@ -150,7 +150,7 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fi
 
 
 def test_a_tare_is_of_the_moment_before_its_pull(jamia: HandModel) -> None:
-    """A zero that drifts by 0.1 N a second from the first tick of rest on is tared where it is then."""
+    """A zero that drifts by 0.1 N/s from the first tick of rest has the value just before the pull."""
     drifted = [0.0]
 
     def cells(i: int) -> np.ndarray:
@@ -190,7 +190,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
 
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
-    """A fall of more than the tension that is left of the last pull is no relaxing tendon."""
+    """A relaxing tendon cannot fall by more than its tension left from the last pull."""
 
     def cells(i: int) -> np.ndarray:
         return good(jamia)(i) - 0.5 * PULL_N * (i == 2) * (np.arange(jamia.tendon_count) == 0)
@@ -207,19 +207,19 @@ def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
 
 @pytest.fixture(scope="module")
 def faster() -> HandModel:
-    """Fast enough for the tension loop to be calm."""
+    """Return the hand at a rate at which the tension loop does not oscillate."""
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
 def whole(faster: HandModel) -> Bench:
-    """The program in a controller, against a hand of scripted motors."""
+    """Return the program in a controller, with a hand of scripted motors."""
     return bench(faster, CommissionProgram())
 
 
 @pytest.mark.parametrize("bias", [-2.0, *(pytest.param(bias, marks=pytest.mark.nightly) for bias in (0.0, 2.0)), 4.5])
 def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: float) -> None:
-    """From the tare on the tension loop works with tared readings, or it would pull with the bias as well."""
+    """After the tare the tension loop uses tared readings. Otherwise it would pull with the bias."""
     whole.peer.bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
     whole.until(Mode.DONE, 30.0)
     assert not whole.state.failure
@@ -238,7 +238,7 @@ def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
 
 @pytest.mark.parametrize(("tare", "refused"), [(-4.1, True), (-3.9, False), (5.9, False), (6.1, True)])
 def test_a_tare_leaves_room_to_either_end_of_the_range(model: HandModel, tare: float, refused: bool) -> None:
-    """The one that is furthest out is named, though another reads more."""
+    """The message names the load cell that is nearest to an end, even if another cell reads more."""
 
     def cells(i: int) -> np.ndarray:
         tension = good(model)(i) - BIAS_N
@@ -255,7 +255,7 @@ def test_a_tare_leaves_room_to_either_end_of_the_range(model: HandModel, tare: f
 
 
 def tared(model: HandModel, cells: Cells) -> Progress:
-    """The program after its tare."""
+    """Return the program after its tare."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:
         measured = nothing_read(model)._replace(tension=cells(-1) + BIAS_N)

@@ -1,4 +1,4 @@
-"""The law: bounded whatever it is told, bumpless between its two loops, and right where the model is right."""
+"""The control law: bounded for any input, bumpless between its two loops, and exact with an exact model."""
 
 import math
 from dataclasses import replace
@@ -23,7 +23,7 @@ from tests.controller.synthetic import Estimate, at_rest, efficiency, known, loa
 
 @pytest.mark.parametrize("gain", [None, 0.5, 1.0, 1.7])
 def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | None) -> None:
-    """What is divided by the spool and the gain and multiplied again may be a last bit more."""
+    """Division by spool radius and gain, then multiplication, may exceed the limit by one bit."""
     hand = load_hand("jamia")
     gains = None if gain is None else np.full(len(hand.tendon), gain)
     beyond = 0
@@ -102,7 +102,7 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
 
 
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
-    """A load cell that does not answer must not let the loop wind up."""
+    """Regression case: a silent load cell must not cause integrator windup."""
     law = LawState.initial(model.tendon_count)
     silent = known(model, np.zeros((model.tendon_count, STATES)))
     for k in range(300):
@@ -122,7 +122,7 @@ def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
 
 
 def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
-    """However soft the loop is: a pull of 3 N must end in a taut rope."""
+    """Even with a soft loop, a commanded tension of 3 N must make the tendon taut."""
     law = LawState.idle(np.zeros(model.tendon_count))
     loose = known(model, np.zeros((model.tendon_count, STATES)))._replace(slack=np.ones(model.tendon_count, dtype=bool))
     for k in range(round(0.1 / model.period)):
@@ -142,7 +142,7 @@ def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
 
 
 class Plant:
-    """Rotors, ropes and digits by small steps, and a controller that knows their state exactly.
+    """Rotors, tendons and digits in small time steps, and a controller that gets their exact state.
 
     Attributes:
         x: (N, 7) state.
@@ -220,7 +220,7 @@ def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
 
 
 def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
-    """On a digit that does not move; in spite of friction of the motor that is modelled wrongly by 2 N."""
+    """The digit is fixed, and the modelled friction of the motor is wrong by 2 N."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, X] = 10.0 / model.space.stiffness
     plant = Plant(model, x, held=True)
@@ -258,7 +258,7 @@ def test_a_goal_without_its_numbers_is_limp(jamia: HandModel, kind: Kind) -> Non
 
 
 def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
-    """The steps of an ablation: no torque of the digits, no inertia, no friction, no force loop."""
+    """Remove the terms one after the other: torque of the digits, inertia, friction, force loop."""
     none = {"inertia_share": 0.0, "friction_share": 0.0, "disturbance_rejection": 0.0, "tension_feedback": 0.0}
     gains = Gains(motion=MotionGains(**none))
     bare = replace(model, gains=gains, inverse=lambda digit, *way: (0.0,) * digit.joint_count)

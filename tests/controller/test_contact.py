@@ -1,4 +1,4 @@
-"""Contact on the plant: found soon after it is strong enough, and never found where there is none."""
+"""Contact on the plant: detected soon after the force is large enough, and never without contact."""
 
 import json
 import math
@@ -38,7 +38,7 @@ def program(*phases: dict[str, Any]) -> TaskProgram:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_wall_is_found_within_20_ms_of_a_newton(hand: str, tmp_path: Path) -> None:
-    """Before it presses with a newton counts as well; the benchmark counts more speeds and places."""
+    """Detection below 1 N passes as well. The benchmark has more speeds and places."""
     closing = {"kind": "close", "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0}, "speed_deg_s": 60.0}
     task = program({"kind": "move", "angle_deg": OPEN, "duration_s": 0.3}, closing, {"kind": "hold", "tension_N": 15.0})
     run = run_on_plant(hand, task, WALL, tmp_path, 2.6)
@@ -53,7 +53,7 @@ def test_a_wall_is_found_within_20_ms_of_a_newton(hand: str, tmp_path: Path) -> 
 
 
 def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
-    """Contacts found while a free hand closes on nothing, at 20 to 100 degrees a second."""
+    """Return the contacts found while a free hand closes, at 20 to 100 deg/s."""
     chance = random.Random(f"free {hand} {seed}")
     phases: list[dict[str, Any]] = []
     planned = 1.0
@@ -102,21 +102,21 @@ def feel(model: HandModel, force: float, ticks: int = 1, closing: int = 1, **rem
 
 
 def test_a_force_that_was_below_zero_all_along_counts_from_there(jamia: HandModel) -> None:
-    """A thumb near the end of its way: the model expects 0.35 N too much, and the contact grows to 0.2 N only."""
+    """Near the end of its motion the thumb's force estimate is 0.35 N too low, and the contact reaches only 0.2 N."""
     for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = feel(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
         assert state.view("grown")[0] == pytest.approx(counts)
 
 
 def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
-    """A load cell that has drifted by half a newton in half a minute."""
+    """A load cell has drifted by 0.5 N in half a minute."""
     for drift, counts in ((0.2, 0.15), (-0.2, 0.35)):
         state = feel(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
         assert state.view("grown")[0] == pytest.approx(counts)
 
 
 def test_a_mean_follows_in_its_time_while_a_digit_closes(jamia: HandModel) -> None:
-    """What is felt of the others is forgotten, the drift of their load cells aside."""
+    """The mean forgets the forces of other digits, except the drift of their load cells."""
     state = feel(jamia, 0.0, round(MEAN_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
     assert state.view("usual")[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)
     assert state.view("drift")[0] == pytest.approx(-0.3 * math.exp(-MEAN_S / DRIFT_S), rel=1e-6)

@@ -1,4 +1,4 @@
-"""The task of a hand that has none yet: open, close, hold, release, for whatever digits there are."""
+"""The default task of a new hand: open, close, hold and release, for any digits."""
 
 from pathlib import Path
 

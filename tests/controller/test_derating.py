@@ -1,4 +1,4 @@
-"""A warm drive is asked for less, linearly; while safety holds no tension grows and the goal stands still."""
+"""The limit of a warm drive falls linearly. In a HOLD no tension grows and no goal moves."""
 
 import math
 
@@ -20,7 +20,7 @@ from tests.controller.synthetic import blank, under
 
 
 def limit_at(model: HandModel, temperatures: tuple[float, ...]) -> np.ndarray:
-    """Tension (N,) that drives of these temperatures [degC] may pull [N]; infinite where no drive is warm."""
+    """Return the tension limits (N,) of drives at given temperatures [degC], in N, infinite if no drive is warm."""
     state = blank(model)
     state.view("temperature")[...] = temperatures
     return limit_of(model, state)
@@ -68,7 +68,7 @@ def test_where_time_stands_still_the_goal_has_no_speed(jamia: HandModel) -> None
 
 @pytest.fixture(scope="module")
 def course():
-    """A hand of MIT drives that holds a cylinder."""
+    """Return a hand with MIT drives that holds a cylinder."""
     with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as begun:
         advance_to(begun, GRASP)
         begun.until(lambda out: False, 0.6)  # until the tensions are at rest
@@ -76,7 +76,7 @@ def course():
 
 
 def test_a_warm_drive_pulls_less_and_the_others_as_before(course) -> None:
-    """84 degC of 70 to 85: a fifteenth of the way from floor to ceiling, 14 N where 24 N were held."""
+    """At 84 degC, between 70 and 85, one fifteenth of the range is left: 14 N instead of 24 N."""
     before = course.peer.truth()["tension"]
     course.peer.inject("hot node=index_motor size=84 for=800ms")
     events = []
@@ -91,7 +91,7 @@ def test_a_warm_drive_pulls_less_and_the_others_as_before(course) -> None:
 
 
 def test_while_safety_holds_no_tension_grows(course) -> None:
-    """The limit is what there was when it began, whatever comes after; it ends with the hold."""
+    """The limit is the tension at the start of the HOLD, and it ends with the HOLD."""
     state, controller = course.state.copy(), course.controller
     tension = np.array(course.peer.truth()["tension"])
 
@@ -114,7 +114,7 @@ def test_while_safety_holds_no_tension_grows(course) -> None:
 
 
 def test_a_hold_keeps_the_hand_as_it_is(course) -> None:
-    """More than 20 of 100 answers lost hold the hand until they come again; its law says so meanwhile."""
+    """More than 20 lost replies of 100 hold the hand until replies arrive again. The control law reports the hold."""
     course.peer.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
     before, seen = course.peer.truth()["tension"], []
     for _ in range(300):

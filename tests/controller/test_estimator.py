@@ -1,4 +1,4 @@
-"""The tension filter in motion: predicting what is missing, and honest about regimes."""
+"""The tension filter in motion: prediction of missing measurements, and regimes."""
 
 import numpy as np
 
@@ -60,7 +60,7 @@ def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Readi
 
 
 def test_a_hand_that_is_under_tension_before_its_encoders_speak(model: HandModel) -> None:
-    """The sensor node answers at once, a drive only after its registers were read."""
+    """The sensor node replies at once. A drive replies after its registers were read."""
     n = model.tendon_count
     cell, state = np.full(n, 5.0), FilterState.initial(n)
     for _ in range(20):
@@ -73,7 +73,7 @@ def test_a_hand_that_is_under_tension_before_its_encoders_speak(model: HandModel
 
 
 def rope(model: HandModel, cells: list[float]) -> list[set[int]]:
-    """Regimes met while the load cells read a sequence of tensions, the motor standing still."""
+    """Return the regimes while the load cells read a sequence of tensions and the motor is at rest."""
     n = model.tendon_count
     x = np.zeros((n, STATES))
     state = all_in(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
@@ -92,7 +92,7 @@ def test_noise_does_not_end_slack_and_tension_does(model: HandModel) -> None:
 
 
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
-    """A rope that is wound up slowly is not to be called slack until it bears five standard deviations."""
+    """A tendon that is wound slowly counts as taut before its tension is five standard deviations."""
     met = rope(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
     assert met[2] == {Regime.SLACK}
     assert Regime.SLACK not in met[-1]
@@ -122,7 +122,7 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
 
 
 def test_a_stretch_offset_is_kept(model: HandModel) -> None:
-    """A hand that was not commissioned has millimetres of it, and they must not leak into the excursion."""
+    """A hand that was not commissioned has millimetres of offset, which must not change the excursion."""
     n = model.tendon_count
     x, cell = np.zeros((n, STATES)), np.full(n, 4.0)
     x[:, X] = 2e-3
@@ -154,7 +154,7 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
 
 
 def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
-    """A held digit pulled with more than its springs ask: the rest is contact."""
+    """The tension of a held digit that its springs do not explain is contact."""
     x, _ = resting(model, 20.0, 0.7)
     n = model.tendon_count
     asked = load_statics(model, x, np.zeros(n)).resistance
@@ -172,7 +172,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
 
 
 def test_joint_encoders_tell_excursion_from_offset(jamia11: HandModel) -> None:
-    """Rope and load cell know only the sum of excursion and offset; the encoders part them."""
+    """Spool and load cell measure only the sum of excursion and offset. Joint encoders separate them."""
     x, _ = resting(jamia11, 20.0, 0.7)
     balance = load_statics(jamia11, x, np.zeros(len(x))).resistance
     x[:, X] = x[:, S] + balance / jamia11.space.stiffness
@@ -190,7 +190,7 @@ def test_joint_encoders_tell_excursion_from_offset(jamia11: HandModel) -> None:
 
 
 def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
-    """Excursions (N,) that follow from readings of joint encoders (J,) [rad], NaN where none came."""
+    """Return excursions (N,) from readings of joint encoders (J,) [rad], NaN where missing."""
     state = blank(model)
     state.mode = Mode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joints)
@@ -221,7 +221,7 @@ def test_neither_state_nor_measurements_are_changed(model: HandModel) -> None:
 
 
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
-    """Friction holds it there; taken for stopped, each return made its angle wrong by a little more."""
+    """Friction holds the digit there. If it counted as stopped, each return would increase the error of its angle."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, S] = 1e-5
     cell = 0.9 * load_statics(model, x, np.zeros(len(x))).resistance
@@ -231,7 +231,7 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
 
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
-    """What the filter took for one was the rope's offset."""
+    """The excursion that the filter estimated was the offset of the tendon."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3
     cell = np.full(len(x), 4.0)

@@ -1,4 +1,4 @@
-"""The tension filter against its own model: as good as it says, and no worse where measurements are missing."""
+"""The tension filter with its own model: its covariance is right, also with missing measurements."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -26,7 +26,7 @@ from tests.controller.synthetic import Readings, blank, constants, interpreted, 
 
 
 def plain_hand(name: str, rate_hz: float) -> HandModel:
-    """A hand whose filter model is exact: no friction, no weight."""
+    """Return a hand whose filter model is exact, without friction and weight."""
     content = hand_content(name)
     content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
     for tendon in content["tendon"]:
@@ -54,7 +54,7 @@ Missing = Callable[[int, np.random.Generator], np.ndarray]
 
 
 class Course(NamedTuple):
-    """What a run of the filter came to, after it settled: (ticks, N) each."""
+    """Errors and covariances of a filter run after it settled, (ticks, N) each."""
 
     error: np.ndarray
     sigma: np.ndarray
@@ -64,7 +64,7 @@ class Course(NamedTuple):
 
 
 def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing: Missing | None = None) -> Course:
-    """Draw a truth from the filter's own model in one regime and let the filter follow it.
+    """Draw a true trajectory from the filter's own model in one regime, and run the filter on it.
 
     ``missing`` says of a tick which encoders (first row) and load cells (second row) are not read in it, (2, N).
     """
@@ -132,7 +132,7 @@ SPARSE: dict[str, Missing] = {
 def test_consistent_with_its_own_model_though_measurements_are_missing(
     plain: HandModel, regime: Regime, what: str
 ) -> None:
-    """The error is as large as the filter says, and no larger by more than what is not known explains."""
+    """The error has the size that the covariance states, within the uncertainty of the sample."""
     missing = SPARSE[what]
     course = monte_carlo(
         plain, regime, 2500, 5, lambda k, rng: np.broadcast_to(missing(k, rng), (2, plain.tendon_count))
@@ -170,7 +170,7 @@ def test_the_covariance_is_carried_along_only_until_it_is_steady_again(model: Ha
 def test_missing_measurement_is_detected_in_each_regime(
     model: HandModel, column: int | None, regime: Regime, counts: bool
 ) -> None:
-    """Joint encoders are read when they come; the load cell of a loose rope says nothing of its tendon."""
+    """Joint encoders count when they are read. The load cell of a slack tendon gives no information."""
     z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
     if column is not None:
         z[-1, column] = np.nan
@@ -181,7 +181,7 @@ def test_missing_measurement_is_detected_in_each_regime(
 
 
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
-    """The first digit is met by something in a tick in which no encoder was read, the last one is not."""
+    """In a tick without encoders, the first digit gets into contact and the last one does not."""
     x, force = resting(model, 25.0, 0.6)
     state, touched = all_in(model, Regime.FREE, x), (True, *nowhere(model)[1:])
     unread, none = nothing_read(model)._replace(tension=force), np.zeros(model.tendon_count)
@@ -218,7 +218,7 @@ MISSING_SAMPLES: dict[str, Missing] = {
 @pytest.mark.parametrize("regime", Regime)
 @pytest.mark.parametrize("what", MISSING_SAMPLES)
 def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regime: Regime, what: str) -> None:
-    """Tendon by tendon with numpy, for as long as it is carried along; the encoder alone is read of a slack tendon."""
+    """Compute each tendon with numpy for as long as its covariance is updated. A slack tendon has only its encoder."""
     rng, n = np.random.default_rng(9), model.tendon_count
     slack = regime == Regime.SLACK
     x, force = resting(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
@@ -248,7 +248,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regim
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
 def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, predicted_s: float | None) -> None:
-    """For as long as the motors are known to hold what they were told."""
+    """The covariance grows while the motors are known to hold the last command."""
     x, force = resting(model, 25.0, 0.6)
     measured, none = readings(model, x, force), np.zeros(model.tendon_count)
     state = all_in(model, Regime.FREE, x)
@@ -264,7 +264,7 @@ def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, pred
 
 
 def test_a_second_filter_agrees_over_gaps(model: HandModel) -> None:
-    """Tendon by tendon, in plain loops; a measurement that is missing is no row of the update."""
+    """Compute each tendon in plain loops. A missing measurement has no row in the update."""
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = resting(model, 25.0, 0.6)
     state, second = all_in(model, Regime.FREE, x), x.copy()

@@ -1,4 +1,4 @@
-"""The tension filter on samples that cannot be right or do not come, on a load cell that drifts; and how it doubts."""
+"""The tension filter with outliers, missing samples and a drifting load cell, and its state of doubt."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ TENSION = 20.0
 
 
 class Held:
-    """A hand whose tendons are held at a tension, sample after sample."""
+    """A hand whose tendons have a constant tension, sample by sample."""
 
     def __init__(self, model: HandModel, regime: Regime = Regime.HELD) -> None:
         self.model, n = model, model.tendon_count
@@ -26,7 +26,7 @@ class Held:
         self.state = FilterState.of(x.ravel(), regime, stopped=False)
 
     def sample(self, cell: float, *, saturated: tuple[int, ...] = (), travel: float = 0.0) -> Estimate:
-        """One tick in which tendon 0 reads ``cell`` [N]."""
+        """Run one tick in which tendon 0 reads ``cell`` [N]."""
         model, n = self.model, self.model.tendon_count
         read = nothing_read(model)._replace(travel=self.travel + travel, tension=np.full(n, TENSION))
         read = read._replace(saturated=saturated)
@@ -36,7 +36,7 @@ class Held:
         return estimate
 
     def settled(self) -> "Held":
-        """After a while of good samples."""
+        """Return the hand after several good samples."""
         for _ in range(200):
             self.sample(TENSION)
         return self
@@ -53,7 +53,7 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
 
 @pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
 def test_two_outliers_in_a_row_are_accepted(model: HandModel, jump: float) -> None:
-    """An impact is no outlier: the second sample is followed at once."""
+    """An impact is no outlier, so the filter follows the second sample at once."""
     hand = Held(model).settled()
     hand.sample(TENSION + jump)
     estimate = hand.sample(TENSION + jump)
@@ -78,7 +78,7 @@ def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
 
 
 def rest(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
-    """Slack ropes, of which that of tendon 0 has a cell that reads its error."""
+    """Return slack tendons, with a load cell of tendon 0 that reads its error."""
     model = hand.model
     x = np.zeros((model.tendon_count, STATES))
     hand.travel = np.full(model.tendon_count, -loose)
@@ -136,7 +136,7 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(0, 0.0), (1, None), (4, None), (10_000, 0.05)])
 def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, predicted_s: float | None) -> None:
-    """The motors' force stays, until after 50 ms nobody knows it; a change of tension was planned for one period."""
+    """The motor force is constant for 50 ms and then unknown. The planned tension change is for one period."""
     state, force = coasting(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
     after, estimate = tick(model, state, nothing_read(model), force, rate, nowhere, missed=missed)
@@ -151,7 +151,7 @@ def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, pre
 
 
 def coasting(model: HandModel) -> tuple[FilterState, np.ndarray]:
-    """Every digit held half closed under 20 N while its rotor winds, and the forces that balance the tension [N]."""
+    """Return digits held half closed under 20 N with winding rotors, and the forces that balance the tension [N]."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
     x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
@@ -160,7 +160,7 @@ def coasting(model: HandModel) -> tuple[FilterState, np.ndarray]:
 
 @pytest.mark.parametrize("every", [5, 11, 30])
 def test_a_position_that_comes_now_and_then_does_not_make_the_filter_swing(jamia: HandModel, every: int) -> None:
-    """The gains are for a measurement in every tick; a drive that was reset told its position in every eleventh."""
+    """The gains assume a measurement in every tick. A drive after a reset sent its position in every eleventh."""
     held = Held(jamia).settled()
     chance = np.random.default_rng(7)
     for k in range(100 * every):

@@ -1,4 +1,4 @@
-"""Small parts of the filter at their limits and with every sign."""
+"""Small functions of the filter at their limits and with both signs."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> N
 
 
 def filtered(model: HandModel, regime: Regime, **columns: float) -> FilterState:
-    """Every tendon in one regime, off its stop; columns of the state by name."""
+    """Return every tendon in one regime, off its stop, with columns of the state by name."""
     x = np.zeros((model.tendon_count, STATES))
     for name, value in columns.items():
         x[:, {"X": X, "S": S, "W": W, "O": O}[name]] = value
@@ -50,7 +50,7 @@ def filtered(model: HandModel, regime: Regime, **columns: float) -> FilterState:
 
 
 def unexplained(model: HandModel, regime: Regime, rate: float) -> np.ndarray:
-    """What contact explains of 20 N on tendons whose digits move at a rate [m/s]; nothing is read in that tick."""
+    """Return the part of 20 N that contact explains while the digits move at a rate [m/s], without readings."""
     stretch = (20.0 + model.space.damping * rate) / model.space.stiffness
     state = filtered(model, regime, S=2e-3, W=rate)
     x = state.x.reshape(-1, STATES).copy()
@@ -69,7 +69,7 @@ def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel)
 
 
 def used(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray:
-    """The measurements (N, 3) that the filter uses, NaN where none."""
+    """Return the measurements (N, 3) that the filter uses, NaN where none."""
     run = state_of(model, state)
     read(run, measured)
     return interpreted(_usable_measurements)(interpreted(state_tables)(run.block, run.layout.places))
@@ -79,7 +79,7 @@ def used(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray
 def test_a_tendon_hangs_loose_by_what_its_spool_is_short_of_its_digit(
     model: HandModel, x: float, s: float, o: float
 ) -> None:
-    """Its load cell then shows its error; of a rope that is nearly taut nobody knows."""
+    """The slack is the lag of the spool. The load cell reads its error, unless the tendon is nearly taut."""
     n = model.tendon_count
     measured = nothing_read(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
     for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
@@ -90,7 +90,7 @@ def test_a_tendon_hangs_loose_by_what_its_spool_is_short_of_its_digit(
 
 
 def judged(model: HandModel, state: FilterState, cell: float) -> FilterState:
-    """What a sample of all load cells makes of the regimes, of digits that touch nothing."""
+    """Return the regimes after a sample of all load cells, for free digits."""
     return taken(corrected(model, state, nothing_read(model)._replace(tension=np.full(model.tendon_count, cell))))
 
 
@@ -100,7 +100,7 @@ def judged(model: HandModel, state: FilterState, cell: float) -> FilterState:
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, hangs_m: float, known: bool, turns: bool
 ) -> None:
-    """If its length is known from a take-up; the count then begins anew."""
+    """Its length must be known from an earlier take-up. The count then starts again."""
     n = model.tendon_count
     above = next(above for above, worth in EVIDENCE if worth * NEAR_FACTOR >= POINTS_OF_TAUT > worth)
     state = filtered(model, Regime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(measured=(known,) * n)

@@ -1,4 +1,4 @@
-"""On a plant whose friction is not the hand file's the tension estimate is no worse than the raw load cell."""
+"""With wrong friction in the hand file, the tension estimate is no worse than the raw load cell."""
 
 from pathlib import Path
 
@@ -39,13 +39,13 @@ seeds = pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.
 
 
 def moved(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
-    """A hand that closes and opens, with friction that is so many times the hand file's."""
+    """Run a hand that closes and opens, with a multiple of the friction of the hand file."""
     program = TaskProgram(validate_content(MOVES, Task, "moves"))
     return run_on_plant(hand, program, None, folder, 3.0, seed, friction=friction)
 
 
 def errors(run: PlantRun) -> tuple[float, float]:
-    """RMSE of the estimate and of the raw load cell [N] at present, taut tendons, once the hand moves."""
+    """Return the RMSE of the present estimate and of the raw load cell [N], for taut tendons while the hand moves."""
     real, later = np.array(run.real), np.array(run.t) > LATER_S
     raw = np.array(run.cell)
     kept = later[:, None] & (real > TAUT_N) & np.isfinite(raw)
@@ -60,14 +60,14 @@ def errors(run: PlantRun) -> tuple[float, float]:
 def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
     hand: str, friction: float, seed: int, tmp_path: Path
 ) -> None:
-    """Move freely, with reversals; plants as told (1.0) and not."""
+    """Move freely with reversals, on plants with the friction of the file (1.0) and others."""
     estimate, cell = errors(moved(hand, friction, seed, tmp_path))
     assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
 
 
 @pytest.mark.parametrize("hand", HANDS)
 def test_warning_keeps_to_the_undoubted_model(hand: str) -> None:
-    """A filter in doubt explains its innovations better; the averages that warn and raise doubt do not follow it."""
+    """A filter in doubt explains its innovations better. The averages for warning and doubt use the original model."""
     model = model_of(hand)
     x, force = resting(model, 20.0, 0.5)
     read = readings(model, x, np.full(model.tendon_count, 21.0))
@@ -89,7 +89,7 @@ def _judge(block: Block, at: Places, of: Block, of_at: Places, innovation: np.nd
 
 
 def caution(model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Averages of the normalised innovation squared, and doubts [s], after a tick in which it is this, (N,) each."""
+    """Return averages of the normalised innovation squared and times of doubt [s] after one tick, (N,) each."""
     state, n = blank(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
@@ -106,7 +106,7 @@ def test_a_slow_loop_does_not_adapt() -> None:
 
 
 def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
-    """One far off doubts itself; all a little off doubt each other; none does for a single sample."""
+    """A large innovation makes its tendon doubtful, small ones of all make all doubtful, one sample none."""
     period, usual, none = jamia11.period, np.full(11, 2.0), np.zeros(11)
     for odd, all_of_them in (
         (np.array([2 * NOISE_NIS_LIMIT, *[1.5] * 10]), False),
@@ -122,7 +122,7 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
 
 
 def test_doubt_ends_and_missing_samples_say_nothing(jamia11: HandModel) -> None:
-    """The time runs down tick by tick; NaN leaves the average as it is."""
+    """The time of doubt decreases in each tick. NaN does not change the average."""
     n = jamia11.tendon_count
     lately, wary = caution(jamia11, np.full(n, 2.0), np.full(n, 3 * jamia11.period), np.full(n, np.nan))
     assert (lately == 2.0).all()
@@ -140,7 +140,7 @@ def test_doubt_ends_and_missing_samples_say_nothing(jamia11: HandModel) -> None:
 
 @pytest.mark.parametrize("hand", HANDS)
 def test_the_filter_in_doubt_is_stable(hand: str) -> None:
-    """Every tendon, taut; the error of each state that is estimated decays."""
+    """For every taut tendon, the error of each estimated state decays."""
     for blocks in model_of(hand).filter.blocks:
         for regime in (Regime.FREE, Regime.HELD):
             block = blocks[regime + len(Regime)]

@@ -1,4 +1,4 @@
-"""The filter's discrete model against the differential equations, its gains against a second Riccati solver."""
+"""The discrete filter model compared with the differential equations, and its gains with a second Riccati solver."""
 
 import itertools
 import weakref
@@ -33,7 +33,7 @@ def model_parts(jamia: HandModel, jamia11: HandModel) -> Parts:
 
 
 def one_of_each(model: HandModel) -> list[int]:
-    """First tendon of the first finger, and the last tendon: the thumb's."""
+    """Return the first tendon of the first finger, and the last tendon, which is that of the thumb."""
     return [0, model.tendon_count - 1]
 
 
@@ -108,7 +108,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(model: HandModel, r
 
 
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
-    """Also single numbers that follow from others: the deviations of tension and of the load cell's innovation."""
+    """Include derived single numbers: the deviations of tension and of the load cell's innovation."""
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.KINDS, h.ELEMENTS)
     parts = {"F": h.F_AT, "B": h.B_AT, "K": h.K_AT, "Q": h.Q_AT, "R": h.R_AT, "P": h.P_AT, "H": h.H_AT}
@@ -150,7 +150,7 @@ def rng() -> np.random.Generator:
 
 
 def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
-    """The thumb's last tendon carries less than a finger's."""
+    """The thumb's last tendon has a lower load than that of a finger."""
     blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]
     assert len({id(each) for each in blocks.values()}) == 5

@@ -1,4 +1,4 @@
-"""What friction leaves a tension when a digit turns: the band by itself, and the estimate on the plant."""
+"""Effect of friction on a tension when a digit reverses: the friction band alone, and the estimate on the plant."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ TURN_S = 0.05
 
 
 def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
-    """(ticks, N) expected tensions of a rope that winds at these speeds, 12 N asked, a fifth lost to friction."""
+    """Return the expected tensions (ticks, N) at winding speeds, at 12 N commanded with 20 % friction loss."""
     n = model.tendon_count
     now, found, crept = [begin] * n, [], MIN_SLIDING_SPEED * model.period
     for speed in speeds:
@@ -39,7 +39,7 @@ def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> N
 
 
 def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> None:
-    """From 15 to 9.6 N at 100 N a millimetre and 5 mm/s: eleven milliseconds, creep a little less."""
+    """From 15 to 9.6 N at 100 N/mm and 5 mm/s takes 11 ms, and slightly less with creep."""
     turned = follow(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
     way = 5.4 / model.space.stiffness[0] / 5e-3

@@ -1,4 +1,4 @@
-"""A goal that jumps: a motor that was at rest has not moved yet, which is not being stuck."""
+"""A target that jumps: a motor at rest that has not moved yet is not stuck."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def arms_of(model: HandModel) -> np.ndarray:
 
 
 def lasting(model: HandModel, goal: float | Vector, ticks: int) -> State:
-    """A hand whose motors read the same for so many ticks, led to goals [m] by then."""
+    """Return a hand whose motors have had equal readings for some ticks, with targets [m]."""
     state = blank(model)
     state.view("followed")[...] = goal
     state.view("motor_stuck")[...] = ticks
@@ -23,7 +23,7 @@ def lasting(model: HandModel, goal: float | Vector, ticks: int) -> State:
 
 
 def commanded(model: HandModel, before: State, angle: float, there: float | Vector = np.nan) -> State:
-    """After a command of that angle for every joint [rad] to digits that are there [m]."""
+    """Return the targets after a command of one angle for every joint [rad], with digits at measured positions [m]."""
     state = before.copy()
     state.view("q_goal")[...] = angle
     state.view("excursion")[...] = there
@@ -36,7 +36,7 @@ def goal(state: State) -> np.ndarray:
 
 
 def goal_away(state: State) -> np.ndarray:
-    """How far the goals have gone [m] since the motors' readings are constant."""
+    """Return the motion of the targets [m] since the motor readings became constant."""
     return np.abs(goal(state) - state.view("motor_anchor")[0])
 
 
@@ -62,7 +62,7 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
 
 
 def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(jamia: HandModel) -> None:
-    """Friction stops it short of the goal: what counts is how far that has gone since."""
+    """Friction stops the motor short of its target. Only the motion of the target since then counts."""
     arms = arms_of(jamia)
     then = commanded(jamia, lasting(jamia, arms * 0.1, 0), 0.4, arms * 0.3)
     np.testing.assert_allclose(goal(then), arms * 0.4)
@@ -73,7 +73,7 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(ja
 
 
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
-    """A quick motion is over before what follows it slowly: that must not go on while the motor rightly stands."""
+    """After a quick motion, the slower filtered target must not go on while the motor is rightly at rest."""
     arms = arms_of(jamia)
     there, lagging = arms * 0.4, lasting(jamia, arms * 0.2, 0)
     lagging.view("motor_anchor")[...] = 1e-3

@@ -1,4 +1,4 @@
-"""The grasp program: its phases in their order, contact that is meant, and what it hands to the law."""
+"""The grasp program: order of its phases, contact, and its commands to the control law."""
 
 import json
 import math
@@ -34,7 +34,7 @@ TASK = {
 
 
 class Run:
-    """A program that is advanced tick by tick on estimates made up by the test.
+    """A program that runs tick by tick on synthetic estimates.
 
     Attributes:
         progress: of the program.
@@ -57,12 +57,12 @@ class Run:
         return events
 
     def touch(self, estimate: Estimate) -> None:
-        """Ticks for as long as any contact needs to be found."""
+        """Run ticks until a contact is detected."""
         for _ in range(round(5 * SMOOTH_S / self.model.period) + self.model.gains.contact.ticks):
             self.tick(estimate)
 
     def until(self, phase: str, estimate: Estimate, timeout: float = 20.0) -> float:
-        """Ticks until a phase begins; how long it took [s]."""
+        """Run ticks until a phase begins. Return the duration [s]."""
         began = self.t
         while self.progress.phase != phase:
             assert self.t - began < timeout, f"{phase} does not begin: {self.progress}"
@@ -80,7 +80,7 @@ def taut(model: HandModel) -> Estimate:
 
 
 def touching(model: HandModel, external: dict[str, float], tension: float = 15.0) -> Estimate:
-    """A taut hand some of whose digits feel something."""
+    """Return a taut hand with contact at some digits."""
     estimate = under(model, tension, 0.5)
     force = np.zeros(model.tendon_count)
     for name, value in external.items():
@@ -124,7 +124,7 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
 
 
 def test_tightening_must_last(model: HandModel, taut: Estimate) -> None:
-    """What is slack again counts as long against it as it is so; not for ever."""
+    """Ticks with slack count against the tendon, but only for a limited time."""
     run = Run(model)
     run.until("tighten", taut)
     for seconds, estimate in ((0.2, taut), (0.1, slack(model)), (0.1, taut), (0.5, slack(model))):
@@ -179,7 +179,7 @@ def closing(model: HandModel, taut: Estimate) -> Run:
 
 
 def felt(model: HandModel, estimate: Estimate) -> np.ndarray:
-    """Forces at the tips of closing digits (D,) [N], before they are smoothed."""
+    """Return the forces at the tips of closing digits (D,) [N], before the filter."""
     state = blank(model)
     state.view("closing")[...] = 1
     concluded(model, state, estimate)
@@ -187,7 +187,7 @@ def felt(model: HandModel, estimate: Estimate) -> np.ndarray:
 
 
 def strong(model: HandModel, newtons: float) -> float:
-    """Unexplained tension, the same in each tendon of the index, that stands for a force at its tip [N]."""
+    """Return the unexplained tension of each index tendon for a force at its tip [N]."""
     found = felt(model, under(model, 15.0, 0.5)._replace(external=np.ones(model.tendon_count)))
     return newtons / float(found[model.hand.digit_names.index("index")])
 
@@ -279,7 +279,7 @@ def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate)
 
 
 def released(model: HandModel, taut: Estimate, tension: float, **release: float) -> tuple[Run, float]:
-    """A run after its release, with the index at a tension [N] all the while; and how long it took [s]."""
+    """Return a run after its release with a constant tension of the index [N], and the duration of the release [s]."""
     task = {**TASK, "phase": [{**p, **release} if p["kind"] == "release" else p for p in TASK["phase"]]}
     run, touch = Run(model, task), touching(model, {"index": 12.0})
     run.until("close", taut)
@@ -321,7 +321,7 @@ def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Esti
 
 
 def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut: Estimate) -> None:
-    """Only a release or a motion makes it free."""
+    """Only a release or a move ends the hold."""
     close, hold = TASK["phase"][2:4]
     run = Run(model, {**TASK, "phase": [close, hold, {**close, "name": "again"}]})
     run.until("close", taut)

@@ -1,4 +1,4 @@
-"""What the inventory waits for: every drive, every load cell, a first reading of each, though they take turns."""
+"""Start of a run: the controller waits for every drive, every load cell, and a first reading of each."""
 
 import math
 
@@ -25,7 +25,7 @@ def hand(jamia: HandModel) -> Bench:
 
 
 def test_motors_that_answer_by_turns_are_armed_too(hand: Bench) -> None:
-    """As drives with a cycle of their own do; the filter begins when each has been read once."""
+    """Some drives have a cycle. The filter starts when each drive has been read once."""
     motors = range(0x11, 0x15)
 
     def in_turn(frame: Frame) -> bool:
@@ -52,7 +52,7 @@ def test_load_cells_that_come_by_turns_are_all_waited_for(jamia11: HandModel) ->
 
 
 def in_inventory_for(hand: Bench, seconds: float) -> State:
-    """A hand that is ready but for what a test takes away, so long after the inventory began."""
+    """Return a ready hand without the parts that a test removes, some time after the inventory started."""
     hand.until(Mode.READY)
     state = hand.state.copy()
     state.mode, state.mode_since = Mode.INVENTORY, -seconds
@@ -66,7 +66,7 @@ def decided(hand: Bench, state: State) -> tuple[Mode, str]:
 
 
 def test_a_drive_that_is_ready_but_never_tells_its_position_is_named(hand: Bench) -> None:
-    """An ODrive is ready by its heartbeat; its encoder's messages may be switched off."""
+    """The heartbeat of an ODrive makes it ready, although its encoder messages may be disabled."""
     known = in_inventory_for(hand, INVENTORY_TIMEOUT_S + 0.1)
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
     hand.controller.keep(unread, 1, blind)

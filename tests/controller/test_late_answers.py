@@ -1,4 +1,4 @@
-"""A host or a simulator that paused gets, or gives, several answers at once: that is no masquerade."""
+"""Several replies in one tick after a pause of host or simulator do not count as a second node."""
 
 import pytest
 
@@ -13,7 +13,7 @@ from tests.controller.bench import Bench, bench
 
 
 def test_answers_that_a_busy_host_gets_late_are_no_masquerade() -> None:
-    """One tick's answers come nearly two ticks later, and the next ones together with those after them."""
+    """The replies of one tick arrive two ticks later, together with the replies of the following ticks."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(0.5)
@@ -37,7 +37,7 @@ def test_answers_that_a_busy_host_gets_late_are_no_masquerade() -> None:
 
 
 def test_late_answers_of_a_bus_without_stamps_are_no_masquerade() -> None:
-    """A frame has the time at which it was taken off; a simulator that paused answers two ticks at once."""
+    """A frame has the time of its reading. A simulator that paused replies to two ticks at once."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
     waiting: list[Frame] = []
@@ -63,7 +63,7 @@ def test_late_answers_of_a_bus_without_stamps_are_no_masquerade() -> None:
 
 @pytest.mark.parametrize("before", range(4))
 def test_a_pause_in_which_a_question_too_old_would_be_given_up_is_no_masquerade(before: int) -> None:
-    """Three ticks' answers at once, the pause around the tick from which on older questions were forgotten."""
+    """Replies of three ticks arrive at once, around the tick at which older requests expire."""
     run = active_on_a_bus_without_stamps()
     waiting: list[Frame] = []
     while (run.k + before) % WINDOW:
@@ -76,7 +76,7 @@ def test_a_pause_in_which_a_question_too_old_would_be_given_up_is_no_masquerade(
 
 
 def active_on_a_bus_without_stamps() -> Bench:
-    """A hand at work, every frame stamped when it is taken off."""
+    """Return an active hand whose frames get their time stamps when they are read."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.to_host = lambda frames: stamped(run, frames)
@@ -93,7 +93,7 @@ def second_answers(out: TickOut) -> list[str]:
 
 
 def test_answers_that_come_a_tick_late_for_long_may_come_in_time_again() -> None:
-    """Whoever answers just behind the deadline does so tick after tick, and then two answers come in one."""
+    """A node that replies just after the deadline may send two replies in one tick when it becomes faster."""
     run = active_on_a_bus_without_stamps()
     held: list[list[Frame]] = [[]]
 

@@ -1,4 +1,4 @@
-"""The law's terms one by one: what each state of the estimate and of the way adds to the motor's force."""
+"""Each term of the control law: the effect of estimate and trajectory on the motor force."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ AT_S = 0.25
 
 
 def force(model: HandModel, estimate: Estimate, goals: tuple[DigitGoal, ...]) -> np.ndarray:
-    """Motor force at the cable, (N,) [N]."""
+    """Return the motor force at the tendon, (N,) [N]."""
     state = LawState.idle(estimate.tension)
     return step(model, state, estimate, goals, AT_S)[1].torque / model.space.spool
 
@@ -51,7 +51,7 @@ def test_motion_feedback_applies_each_gain(model: HandModel, way: tuple[DigitGoa
 
 
 def test_a_way_s_acceleration_is_fed_forward(model: HandModel, way: tuple[DigitGoal, ...], there: Estimate) -> None:
-    """What the law asks for less with no share of the rotor's inertia is the rotor's inertia."""
+    """Without the feedforward of rotor inertia, the command decreases by inertia times acceleration."""
     without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
@@ -72,7 +72,7 @@ def test_held_tendons_take_a_disturbance_off(model: HandModel) -> None:
 
 
 def test_an_idle_law_has_commanded_nothing(model: HandModel) -> None:
-    """Whatever it commanded before; a tension loop then begins at the tension that there is."""
+    """A tension loop then starts at the present tension, for any command before."""
     state, tension = blank(model), np.linspace(3.0, 4.0, model.tendon_count)
     for name in ("setpoint", "integral", "force", "planned", "rate", "trim", "torque", "friction_state"):
         state.view(name)[...] = 7.0
@@ -103,7 +103,7 @@ def test_a_hand_that_holds_has_goals_of_no_angle(model: HandModel) -> None:
 
 
 def test_held_tendons_answer_their_speed_and_their_tension(model: HandModel) -> None:
-    """Against both: what runs away from the goal is held back, what moves is damped."""
+    """The control law opposes a deviation from the goal, and damps a motion."""
     there, goals, design = under(model, 20.0), holding(model, 20.0), model.motion
     state = LawState.idle(there.tension)
     before = step(model, state, there, goals, AT_S)[1].torque / model.space.spool

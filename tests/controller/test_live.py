@@ -1,4 +1,4 @@
-"""Live goals and jogging: what is accepted, what is refused whole, and when it ends."""
+"""Live targets and jogging: accepted requests, refused requests, and the end of a motion."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ def asked(text: str) -> MoveDigits | HoldTension:
 
 
 def live(model: HandModel, estimate: Estimate) -> tuple[LiveProgram, Progress]:
-    """A live session that waits for requests."""
+    """Return a live session that waits for requests."""
     program = LiveProgram()
     progress, t = program.initial(model), 0.0
     while progress.phase != "live":

@@ -1,4 +1,4 @@
-"""Where digits are on their ways, and the tensions that their motion takes, digit by digit."""
+"""Position of digits on their trajectories, and the tensions of their motion, digit by digit."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def ways(model: HandModel, since: float, durations: tuple[float, ...]) -> tuple[
 def test_a_way_counts_from_when_it_began(
     hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
-    """Whether all digits move alike or each in its own time."""
+    """All digits may share one duration, or each has its own."""
     model: HandModel = request.getfixturevalue(hand)
     first, later = (ways(model, since, durations) for since in (0.0, 2.0))
     way = way_of(model, first, 0.1)
@@ -31,7 +31,7 @@ def test_a_way_counts_from_when_it_began(
 
 
 def by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
-    """The same, each digit for itself and without a short cut."""
+    """Compute the same for each digit separately, without a shortcut."""
     found = np.zeros(model.tendon_count)
     q, dq, ddq = way.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -44,7 +44,7 @@ def by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_load_is_what_each_digit_can_bear(hand: str, request: pytest.FixtureRequest) -> None:
-    """Some digits within the bounds, some below and some above; the others are not touched by it."""
+    """Include digits within the bounds, below and above. The limit of one digit does not change the others."""
     model: HandModel = request.getfixturevalue(hand)
     goals, rng = ways(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)
     joints = len(model.hand.joints)

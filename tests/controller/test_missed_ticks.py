@@ -1,4 +1,4 @@
-"""Ticks that were skipped: what moves goes on meanwhile. What the filter makes of it is in test_estimator_gate."""
+"""Skipped ticks: motions go on meanwhile. test_estimator_gate has the effect on the filter."""
 
 import pytest
 

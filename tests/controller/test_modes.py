@@ -1,4 +1,4 @@
-"""Modes from silence to action and back to a confirmed standstill, against a hand of scripted motors."""
+"""Modes from start to motion and back to a confirmed stop, with a hand of scripted motors."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 
 @pytest.fixture(scope="module")
 def quick() -> HandModel:
-    """A slow rate makes short tests; all times are in seconds."""
+    """Return a model at a low rate, which makes the tests fast. All times are in seconds."""
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
@@ -36,7 +36,7 @@ def lasted(run: Bench, mode: Mode) -> float:
 
 
 def sent(run: Bench, data: bytes) -> list[int]:
-    """Identifiers that were sent these bytes, in order."""
+    """Return the identifiers of the frames with these bytes, in order."""
     return [frame.can_id for _, _, out in run.history for frame in out.frames if frame.data == data]
 
 
@@ -139,7 +139,7 @@ def test_a_second_stop_does_not_lengthen_the_first(hand: Bench) -> None:
 
 
 def foreign(hand: Bench) -> Frame:
-    """What only a second controller can have sent: a torque command to the first motor."""
+    """Return a frame that only a second controller can have sent: a torque command to the first motor."""
     return Frame(hand.peer.motors[0].node_id, bytes(8), t_ns=hand.k * hand.period_ns)
 
 

@@ -1,4 +1,4 @@
-"""The LQR gains close stable loops, with the margins that an LQR promises and a sampled one may lose."""
+"""The LQR gains give stable loops, with the margins of an LQR, which sampling may reduce."""
 
 import numpy as np
 import pytest
@@ -12,14 +12,14 @@ RATES = [200.0, 500.0, 1000.0]
 
 
 def motion_plant(mass: float, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Excursion [m] and its rate of one mass pushed by a force."""
+    """Return the model of one mass moved by a force, with excursion [m] and its rate."""
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
     return F, G
 
 
 def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Tension [N] and cable speed of a rotor on a rope whose end is held."""
+    """Return the model of a rotor on a tendon with a fixed end, with tension [N] and tendon speed."""
     space = model.space
     m, k, c = space.motor_mass[i], space.stiffness[i], space.damping[i] + space.motor_damping[i]
     A, B = np.array([[0.0, k], [-1.0 / m, -c / m]]), np.array([[0.0], [1.0 / m]])
@@ -28,7 +28,7 @@ def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, 
 
 
 def loops(model: HandModel, gains: Gains, period: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """(F, G, K) of both loops of a finger's and the thumb's last tendon; force = -K state."""
+    """Return (F, G, K) of both loops of a finger's and the thumb's last tendon, with force = -K state."""
     design, found = design_motion(model.space, gains, period), []
     for i in (0, model.tendon_count - 1):
         mass = model.space.motor_mass[i] + model.space.load_mass[i]
@@ -44,7 +44,7 @@ def radius(matrix: np.ndarray) -> float:
 
 @pytest.mark.parametrize("rate_hz", RATES)
 def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) -> None:
-    """Half and one and a half times the gain, and 30 degrees of lag at every frequency where the gain crosses one."""
+    """Check 0.5 and 1.5 times the gain, and a phase margin of 30 degrees at each gain crossover."""
     for F, G, K in loops(model, Gains(), 1.0 / rate_hz):
         for factor in (0.5, 1.0, 1.5):
             assert radius(F - factor * G @ K) < 1.0
@@ -60,14 +60,14 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0])
 def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
-    """At half the rope's own frequency a sample the margins of an LQR are gone; the loops still hold."""
+    """At a sampling rate near the tendon's natural frequency, the LQR margins are lost, but the loops stay stable."""
     for F, G, K in loops(model, Gains(), 1.0 / rate_hz):
         assert radius(F - G @ K) < 1.0
 
 
 @pytest.mark.parametrize("rate_hz", RATES)
 def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
-    """No other gain in the neighbourhood costs less from any of several starts: cost by summing the series."""
+    """No gain close to the optimum has a lower cost from several initial states. The cost is a summed series."""
     gains, full = Gains(), min(1.0, (rate_hz / 500.0) ** 0.5)
     weights = [
         (gains.motion.position_error_m, gains.motion.speed_error_m_s, full * gains.motion.force_N),

@@ -1,4 +1,4 @@
-"""Moves of a task that no rotor should make: what is stopped dead at that speed tears a rope."""
+"""Moves of a task that are too fast for the rotor: a sudden stop at that speed tears a tendon."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Joint angles and their standard deviation, against the plant's truth in grasps and against linear algebra."""
+"""Joint angles and their standard deviation, compared with the plant in grasps and with linear algebra."""
 
 import os
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ HELD, FREE = ("close", "hold", "release"), ("tighten", "home")
 
 
 class Seen(NamedTuple):
-    """A tick: phase, true, estimated and free angles with the deviation (J,) [rad], contact force per digit [N]."""
+    """Values of a tick: phase, true, estimated and free angles, deviation (J,) [rad], contact force per digit [N]."""
 
     phase: str
     real: np.ndarray
@@ -48,7 +48,7 @@ def packaged(name: str) -> Path:
 
 
 def with_encoders(folder: Path, joints: int | None = None) -> Path:
-    """A jamia with a joint encoder at every joint, or at the first ones only."""
+    """Return jamia with a joint encoder at every joint, or only at the first ones."""
     text = packaged("jamia").read_text(encoding="utf-8")
     read = load_hand("jamia").joints[:joints]
     path = folder / "encoders.toml"
@@ -57,7 +57,7 @@ def with_encoders(folder: Path, joints: int | None = None) -> Path:
 
 
 def grasped(path: Path, task: str, scene: str, seed: int) -> Iterator[Seen]:
-    """A grasp in lockstep, tick by tick."""
+    """Return a grasp in lockstep, tick by tick."""
     model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
     program = TaskProgram(find_task(Path(task), model.hand)[0])
     with Simulator(path, scene, seed, homed=True).against(homed_controller(model, program)) as run:
@@ -78,7 +78,7 @@ def rms(values: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("task", "scene"), GRASPS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS[:2])
 def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: int) -> None:
-    """At least 95 % of all joints and ticks of a grasp, and better than the free digit's angles while it holds."""
+    """At least 95 % of all joints and ticks. During the hold the error is smaller than with a free digit's angles."""
     seen = list(grasped(packaged("jamia"), task, scene, seed))
     held = [one for one in seen if one.phase in HELD]
     assert np.mean([np.abs(one.q - one.real) <= 2.0 * one.sigma for one in held]) >= 0.95
@@ -112,7 +112,7 @@ class Angles(NamedTuple):
 
 
 def angles_in(model: HandModel, state: State, estimate: Estimate, touched: np.ndarray, k: int) -> Angles:
-    """Angles of a tick in which so much tension (D,) [N] is unexplained; the state remembers the tick."""
+    """Return the angles of a tick with unexplained tensions (D,) [N]. The state stores the tick."""
     state.view("touch")[...] = touched
     state.set_whole(s.K, k)
     concluded(model, state, estimate._replace(external=touched[list(model.digit_of)]))
@@ -168,14 +168,14 @@ def _fuse(
 
 
 def fused(model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int) -> State:
-    """A state after its joint encoders were fused; columns (C, J) and spread (J, N) make the prior's covariance."""
+    """Return a state after the fusion of joint encoders. Columns (C, J) and spread (J, N) give the prior covariance."""
     after = state.copy()
     _fuse(after.block, after.layout.places, *controller_of(model)._constants, columns, spread, t_ns)
     return after
 
 
 def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
-    """One joint that is read: prior and reading weighed by their covariance, the others follow the correlation."""
+    """One joint is read. Covariances weight prior and reading, and other joints follow by their correlation."""
     model = HandModel.of(load_hand(str(with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ)
     joints, state = len(model.hand.joints), blank(model)
     noise = constant_tables_of(model).joint[h.ENCODER_VARIANCE]
@@ -198,7 +198,7 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_one_encoder_after_the_other_is_all_of_them_at_once(tmp_path: Path, seed: int) -> None:
-    """The sequential update against the Kalman filter's in matrices, some frames too old to count."""
+    """The sequential update equals the matrix form of the Kalman filter. Some frames are too old."""
     model = HandModel.of(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, of, state = np.random.default_rng(seed), constant_tables_of(model), blank(model)
     joints, now = len(model.hand.joints), 10**9

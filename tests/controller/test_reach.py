@@ -1,4 +1,4 @@
-"""Tasks that ask for angles which the joints do not have."""
+"""Tasks with angles outside the range of the joints."""
 
 import json
 from pathlib import Path

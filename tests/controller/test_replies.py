@@ -1,4 +1,4 @@
-"""Answers beyond the questions: whose fault they are, and which frames count as answers at all."""
+"""Replies without a request: the fault that they mean, and the frames that count as replies."""
 
 import pytest
 
@@ -14,7 +14,7 @@ UNASKED = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
 
 @pytest.fixture
 def silent(jamia: HandModel) -> Bench:
-    """A hand that has been asked nothing yet."""
+    """Return a hand before the first request."""
     run = bench(jamia, LiveProgram())
     run.tick()
     return run
@@ -22,7 +22,7 @@ def silent(jamia: HandModel) -> Bench:
 
 @pytest.fixture
 def run(jamia: HandModel) -> Bench:
-    """A hand at work."""
+    """Return an active hand."""
     run = bench(jamia, LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(0.1)
@@ -56,7 +56,7 @@ def test_the_first_answer_to_the_first_question_is_no_surplus(silent: Bench) -> 
 
 
 def test_other_frames_do_not_make_a_duplicate_a_masquerade(run: Bench) -> None:
-    """Of the frames of a motor only those count that were taken for feedback."""
+    """Only the frames of a motor that were decoded as feedback count."""
     run.to_host = lambda frames: [*frames, *[f for f in frames if f.can_id == 0x11], Frame(0x11, bytes([0x12] * 8))]
     assert faults(run.tick()) == ["B05", "B09"]
 
@@ -84,12 +84,12 @@ def is_cell(run: Bench, frame: Frame) -> bool:
 
 
 def older(cell: Frame) -> Frame:
-    """The same with the counter of another SYNC."""
+    """Return the same frame with the counter of another SYNC."""
     return cell._replace(data=bytes([cell.data[0] ^ 1]) + cell.data[1:])
 
 
 def changed(cell: Frame) -> Frame:
-    """An answer to the same SYNC with another tension."""
+    """Return a reply to the same SYNC with another tension."""
     return cell._replace(data=bytes([cell.data[0] ^ 0x10]) + cell.data[1:])
 
 
@@ -98,7 +98,7 @@ def changed(cell: Frame) -> Frame:
     (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
 ])  # fmt: skip
 def test_only_what_comes_beyond_the_questions_is_compared_with_the_last_one_due(run, owed, came, found) -> None:
-    """The answer to an older question, which comes late with the fresh one, may well have other bytes."""
+    """A late reply to an older request may have other bytes than the new reply."""
     if owed == 2:
         run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
         run.tick()
@@ -108,7 +108,7 @@ def test_only_what_comes_beyond_the_questions_is_compared_with_the_last_one_due(
 
 
 def several(answer: Frame, kinds: str) -> list[Frame]:
-    """Of the first motor A for the answer as it is, B for the same at another temperature; others are left alone."""
+    """Return replies of the first motor: A is equal, B has another temperature. Other replies stay unchanged."""
     if answer.can_id != 0x11:
         return [answer]
     other = answer._replace(data=answer.data[:7] + bytes([answer.data[7] ^ 1]))

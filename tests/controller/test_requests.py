@@ -1,4 +1,4 @@
-"""Requests: what is one, what is none, and that nothing a stranger sends can stop the loop."""
+"""Requests: valid and invalid ones. No datagram of another program can stop the loop."""
 
 import json
 import math

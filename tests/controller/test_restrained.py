@@ -1,4 +1,4 @@
-"""The law while something restrains it: a limit of a warm drive, safety that holds, and what makes up for new gains."""
+"""The control law under limits: a warm drive, a HOLD, and the trim after a change of gains."""
 
 import numpy as np
 import pytest

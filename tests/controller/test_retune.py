@@ -1,4 +1,4 @@
-"""Gains that change in a run: within bounds, without a step in torque, and in the state that is hashed."""
+"""Gains that change in a run: within bounds, without a step in torque, and part of the hashed state."""
 
 import json
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ def change(values: Mapping[str, float]) -> str:
 
 
 def desk_of(model: HandModel) -> Bench:
-    """The simulated hand with load cells that do not hiss, taut and waiting."""
+    """Return the simulated hand with noiseless load cells, taut and waiting."""
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
     peer = load_peer("firmware_sim.rig:Rig", **options)
     desk = Bench(controller(model, LiveProgram()), peer)
@@ -47,7 +47,7 @@ def desk_of(model: HandModel) -> Bench:
 
 @pytest.fixture
 def holding(jamia: HandModel) -> Bench:
-    """A hand whose tensions rise, so that the loops have errors to act on."""
+    """Return a hand whose tensions rise, so that the loops have errors."""
     desk = desk_of(jamia)
     desk.tick(HOLD)
     desk.run(0.1)
@@ -85,7 +85,7 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
 
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
-    """The run that comes after it would not have them."""
+    """The next run would not have the new gains."""
     desk = Bench(
         controller(jamia, CommissionProgram()), load_peer("firmware_sim.rig:Rig", hand_path=str(hand_path("jamia")))
     )
@@ -112,7 +112,7 @@ Call = tuple[Controller, State, State, Action, int]
 
 
 def recorded(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
-    """Calls of the law from now on: whose, the state before and after it, what safety demanded, and ticks."""
+    """Record calls of the control law: tendons, state before and after, demand of the monitor, and ticks."""
     calls, real = list[Call](), Controller._compute_torques
 
     def command(self: Controller, state: State, action: Action, ticks: int) -> None:
@@ -137,7 +137,7 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
 def test_a_change_makes_no_step_in_torque(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch, request_: str, values: dict[str, float]
 ) -> None:
-    """What the new gains and the trim ask for in the tick of the change is what the old ones asked for."""
+    """In the tick of the change, new gains plus trim give the command of the old gains."""
     desk = desk_of(jamia)
     desk.tick(request_)
     desk.run(0.1)
@@ -159,7 +159,7 @@ def test_a_change_makes_no_step_in_torque(
 def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else what the limit takes off becomes a trim that lets the rope go slack."""
+    """Otherwise the limited part becomes a trim that makes the tendon slack."""
     desk = desk_of(jamia)
     desk.tick(MOVE)
     desk.run(0.05)
@@ -247,7 +247,7 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
 
 @pytest.mark.parametrize("high", [False, True])
 def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high: bool) -> None:
-    """One key after the other at its end, the rest as packaged; a strict bound is approached to a hundredth."""
+    """Set one key at a time to its bound, the others as packaged. A strict bound is approached to one hundredth."""
     for key, bound in bounds().items():
         if bound.live:
             value = bound.high if high else bound.low + (0.01 * bound.default if bound.open_low else 0.0)

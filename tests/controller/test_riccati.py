@@ -1,4 +1,4 @@
-"""The Riccati solutions are those of ``control``, to the last bit."""
+"""The Riccati solutions equal those of the package ``control`` to the last bit."""
 
 import control
 import numpy as np

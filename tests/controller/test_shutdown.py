@@ -1,4 +1,4 @@
-"""After a bug in a tick: drives are told to disable, and believed only when they say that they are off."""
+"""After an exception in a tick, the drives get a disable command until they confirm that they are disabled."""
 
 from pathlib import Path
 

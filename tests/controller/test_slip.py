@@ -1,4 +1,4 @@
-"""Slip: noticed by a digit that is pushed open, answered by more force up to the task's limit; also on the plant."""
+"""Slip: detected when a digit is pushed open, and countered by more force up to the limit of the task."""
 
 import json
 from pathlib import Path
@@ -21,7 +21,7 @@ TENSION_N = 20.0
 
 
 class Held:
-    """A grip of all digits but the last, ticked on estimates made up by the test."""
+    """A grasp of all digits but the last, tick by tick on synthetic estimates."""
 
     def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
         self.model, self.quiet = model, under(model, TENSION_N, 0.5)
@@ -46,7 +46,7 @@ class Held:
             self.events += events
 
     def moved(self, metres: float, digit: int = 0) -> Estimate:
-        """A digit whose tendons have been wound that much further."""
+        """Move a digit by further winding of its tendons."""
         travel = self.quiet.travel.copy()
         travel[self.model.digit_tendons[digit]] += metres
         return self.quiet._replace(travel=travel)
@@ -138,7 +138,7 @@ def grasp(limit: str) -> TaskProgram:
 def test_a_growing_load_takes_the_object_only_without_reaction(
     hand: str, friction: float, rate: float, tmp_path: Path
 ) -> None:
-    """The same load, plant and seed; what differs is the line of the task that allows more force."""
+    """Load, plant and seed are equal. Only the key of the task that permits more force differs."""
     scene, motion, tension = PULL.format(friction=friction, rate=rate), {}, {}
     for limit in ("", "limit"):
         run = run_on_plant(hand, grasp(limit), scene, tmp_path, 5.6)

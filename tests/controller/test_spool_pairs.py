@@ -81,7 +81,7 @@ def test_a_single_tendon_is_the_limit_of_a_pair_without_pretension() -> None:
 
 @pytest.mark.parametrize("stretch_mm", [0.0, 0.1, -0.1, 0.16, 0.4, -0.4])
 def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm: float) -> None:
-    """Up to 2 p both are taut and the stiffness is that of both, beyond it that of one."""
+    """Up to 2 p both tendons are taut and their stiffnesses add. Above, only one is taut."""
     tendon, motor = finger().tendon[0], finger().motor[0]
     pretension = tendon.pretension_N
     assert pretension is not None
@@ -177,7 +177,7 @@ class Pull:
 
 @pytest.mark.parametrize("tension", [-200.0, -40.0, 12.0, 40.0, 200.0])
 def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
-    """Against either stop the tendons have the goal, or the limit less the sigma of an estimated tension."""
+    """At each stop the tensions have the goal, or the limit minus sigma of an estimated tension."""
     hand = finger()
     limit = hand.tendon[0].tension_max_N
     with Simulator(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:

@@ -1,4 +1,4 @@
-"""Known forces along the tendons against energy, and the tip-equivalent force against virtual work."""
+"""Known forces along the tendons compared with energy, and the equivalent tip force with virtual work."""
 
 import math
 
@@ -26,12 +26,12 @@ def _static_torque(block: Block, at: Places, q: np.ndarray) -> np.ndarray:
 
 
 def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
-    """Return the torque of gravity and springs at all joints, as the estimator has it."""
+    """Return the torque of gravity and springs at all joints, as the estimator computes it."""
     return _static_torque(*constants(model), q)
 
 
 def stood(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
-    """Filter table (N, 7) of a hand whose digits are at coordinates."""
+    """Return a filter table (N, 7) of a hand at given coordinates."""
     table = np.zeros((model.tendon_count, STATES))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
         table[tendons, S] = digit.reduced_moment_arms @ one
@@ -72,7 +72,7 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
 
 
 def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> None:
-    """However far friction is developed, of winding and of paying out."""
+    """Check any state of friction, in winding and in paying out."""
     rng = np.random.default_rng(7)
     theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
     q = np.concatenate([digit.coupling @ one for digit, one in zip(model.digits, theta, strict=True)])
@@ -129,7 +129,7 @@ def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
 
 
 def test_a_force_at_the_tip_is_found_again(model: HandModel) -> None:
-    """Tensions that balance a normal force at the tip stand for that force."""
+    """Tensions in balance with a normal force at the tip give this force."""
     rng = np.random.default_rng(6)
     for digit in model.digits:
         for force in (0.5, 6.0, 40.0):

@@ -1,4 +1,4 @@
-"""Task files: the packaged one is good for every hand, and what is wrong is named with its key."""
+"""Task files: the packaged task suits every hand, and an error names its key."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ tension_N = { index = 20.0 }
 
 @pytest.fixture
 def refusal(tmp_path: Path):  # type: ignore[no-untyped-def]
-    """The line that refuses a task's text."""
+    """Return the line with which a task text is refused."""
 
     def refuse(text: str, digits: tuple[str, ...] = ("index", "thumb"), ceiling: float = 110.0) -> str:
         path = tmp_path / "t.toml"
@@ -101,7 +101,7 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
 
 
 def hand_with_an_extensor() -> Hand:
-    """jamia11, and a third tendon that opens both joints of its thumb."""
+    """Return jamia11 with a third tendon that opens both joints of its thumb."""
     content = hand_content("jamia11")
     motor = {**content["motor"][-1], "name": "thumb_ext_motor", "node_id": content["motor"][-1]["node_id"] + 1}
     arms = {"thumb_j1": -0.003, "thumb_j2": -0.003}
@@ -176,7 +176,7 @@ def test_a_table_of_no_digits_asks_nothing_of_any(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", [TARE_PHASE, "start"])
 def test_a_phase_is_not_named_like_what_the_controller_knows_by_its_name(refusal, name: str) -> None:  # type: ignore[no-untyped-def]
-    """In one named tare no load cell would be judged, and start would begin all over again."""
+    """The controller treats the names tare and start in a special way."""
     assert "must not be named" in refusal(GOOD.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"'))
 
 

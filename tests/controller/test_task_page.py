@@ -1,4 +1,4 @@
-"""docs/reference/tasks.md: its example is a task, its tables name what there is, its scene is a scene."""
+"""docs/reference/tasks.md: its examples of task and scene are valid, and its tables name existing keys."""
 
 import re
 from pathlib import Path

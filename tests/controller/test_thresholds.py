@@ -1,4 +1,4 @@
-"""Thresholds that follow from the hand: what is too much for one is everyday for another."""
+"""Thresholds that depend on the hand: a value above the limit of one hand is normal for another."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The tick as a function: the same in, the same out, nothing changed on the way, whatever the wire brings."""
+"""The tick as a pure function: equal inputs give equal outputs, and inputs stay unchanged, for any frames."""
 
 import random
 
@@ -19,7 +19,7 @@ from tests.controller.bench import Bench, bench
 
 
 def lively(name: str) -> Bench:
-    """A whole live session: arming, moving, holding, a lost frame, a fault, the way home."""
+    """Return a whole live session: arming, moving, holding, a lost frame, a fault, and relaxing."""
     rate = {"jamia": 200.0, "jamia11": 200.0}[name]
     run = bench(HandModel.of(load_hand(name), Gains(), rate), LiveProgram())
     run.until(Mode.ACTIVE)
@@ -44,7 +44,7 @@ def session(request: pytest.FixtureRequest) -> Bench:
 
 
 def bytes_of(out: TickOut) -> tuple[object, ...]:
-    """Everything that a tick decided, NaN comparable."""
+    """Return all outputs of a tick in a form in which NaN equals NaN."""
     plain = (out.frames, out.mode, out.phase, out.action, out.events, out.state_hash)
     return (*plain, out.telemetry.packed())
 
@@ -81,7 +81,7 @@ def test_the_order_of_frames_within_a_tick_does_not_matter(session: Bench) -> No
 
 
 def test_frames_with_unknown_identifiers_change_no_decision(session: Bench) -> None:
-    """But what is counted of them, and that a known identifier with a flag is a frame of a wrong shape."""
+    """Only their counters change. A known identifier with a flag counts as a frame of a wrong form."""
     noise = (Frame(0x666, bytes(8)), Frame(0x1A0, bytes(8), bus=3))
     misshapen = Frame(0x011 | 1 << 31, bytes(8))
     for before, entry, out in session.history[::7]:
@@ -92,7 +92,7 @@ def test_frames_with_unknown_identifiers_change_no_decision(session: Bench) -> N
 
 
 def test_the_origin_of_time_does_not_matter() -> None:
-    """The same run that begins 2560 ticks later, but for the counter of SYNC and the turns of registers read again."""
+    """The same run starts 2560 ticks later. Only the SYNC counter and the order of register reads differ."""
     model = HandModel.of(load_hand("jamia"), Gains(), 200.0)
     runs = []
     for first in (0, 2560):
@@ -166,7 +166,7 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
 
 
 def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
-    """The node lists its channels from the last tendon to the first; its second frame is lost."""
+    """The node lists its channels in reverse order, and its second frame is lost."""
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
     run = bench(HandModel.of(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram())
@@ -202,7 +202,7 @@ frames = st.builds(
 
 @given(burst=st.lists(st.lists(frames, max_size=12), min_size=1, max_size=6))
 def test_no_frame_can_stop_the_tick(active: Bench, burst: list[list[Frame]]) -> None:
-    """Whatever comes, in action: no exception, every torque within the limit, every number finite."""
+    """For any frame in motion: no exception, every torque within its limit, every number finite."""
     state, k = active.state, active.k
     for some in burst:
         state, out = active.controller.tick(state, TickIn(k, k * active.period_ns, frames=tuple(some)))
@@ -229,7 +229,7 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 
 
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
-    """A hand that already holds something when its program begins: the tension loop starts at what is there."""
+    """A hand holds an object when its program starts. The tension loop starts at the present tension."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.peer.x[:] = 0.3e-3 + 20.0 / run.peer.stiffness
     run.peer.braked = True

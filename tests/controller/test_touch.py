@@ -1,4 +1,4 @@
-"""A digit that meets what nobody planned: it is told, and presses with a bounded tension instead of ringing."""
+"""A digit with an unplanned contact: an event reports it, and the digit presses with a bounded tension."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.controller.synthetic import Estimate, at_rest, blank, concluded, know
 
 
 def pulled(model: HandModel, external: float) -> Estimate:
-    """An estimate of a hand at rest, with so much on every tendon that nothing explains [N]."""
+    """Return an estimate of a hand at rest with an unexplained tension in every tendon [N]."""
     return known(model, at_rest(model, 0.5))._replace(external=np.full(model.tendon_count, external))
 
 
@@ -45,7 +45,7 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
 
 @pytest.fixture(scope="module", params=["jamia", "jamia11"])
 def pressed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, PlantRun]:
-    """The index is told to go to 100 degrees; its first joint meets the palm long before."""
+    """Return a run in which the index moves towards 100 degrees, and its first joint meets the palm before."""
     move = JogProgram(MoveDigits(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
     return request.param, run_on_plant(request.param, move, None, tmp_path_factory.mktemp("pressed"), 4.0)
 

@@ -1,4 +1,4 @@
-"""What people and faults may still do once a hand lets go: nothing that pulls."""
+"""While a hand relaxes, no request and no fault can increase a tension."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ MOVE = '{"do": "move", "angle_deg": {"index": 60}}'
 
 @pytest.fixture(scope="module")
 def quick() -> HandModel:
-    """A slow rate makes short tests."""
+    """Return a model at a low rate, which makes the tests fast."""
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
@@ -73,14 +73,14 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> 
 
 
 def fastest_fall(run: Bench, index: int = 0) -> float:
-    """Of a tendon's set-point while the hand relaxes [N/s]."""
+    """Return the fastest decrease of a tendon's setpoint while the hand relaxes [N/s]."""
     goals = [out.telemetry.tension_goal[index] for _, _, out in run.history if out.mode == Mode.RELAX]
     return float(-np.diff(goals).min() / run.controller.model.period)
 
 
 @pytest.mark.parametrize("late", [False, True])
 def test_over_tension_is_let_go_of_four_times_as_fast(quick: HandModel, late: bool) -> None:
-    """From the tick on in which a load cell tells of it, though the hand relaxes already."""
+    """The faster ramp starts in the tick in which a load cell reports the tension, also while the hand relaxes."""
     run = acting(quick)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     run.run(0.5)
@@ -127,7 +127,7 @@ def test_after_a_fault_while_arming_nothing_more_is_enabled(quick: HandModel) ->
 
 @pytest.mark.parametrize("request_", [QUICK, MOVE])
 def test_a_run_with_goals_of_its_own_takes_no_others(quick: HandModel, request_: str) -> None:
-    """A tare under tension would hide it from every later run of the day."""
+    """A tare under tension would shift the readings of all later runs."""
     run = bench(quick, CommissionProgram())
     run.until(Mode.ACTIVE)
     run.run(0.05)

@@ -83,7 +83,7 @@ class BlindRun:
 
 
 def seen(program: Program, scene: str | None, seed: int, *faults: str, limit_s: float = 30.0) -> BlindRun:
-    """Run a program on a homed hand without sensors. Faults are injected at the beginning, with their own times."""
+    """Run a program on a homed hand without sensors. The faults have their times."""
     rows = BlindRun()
     with Simulator(without(), scene, seed, homed=True).against(homed_controller(model_of(), program)) as run:
         run.keep = False

@@ -1,4 +1,4 @@
-"""``python -m firmware_sim drive`` as a process of its own."""
+"""``python -m firmware_sim drive`` as a separate process."""
 
 import select
 import signal
@@ -12,7 +12,7 @@ READY_S = 60.0
 
 @contextmanager
 def drives(bus: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
-    """Drives on a bus, until the block ends; they must end in order.
+    """Run simulated drives on a bus until the block ends, and check their exit code.
 
     Args:
         bus: specification.

@@ -16,7 +16,7 @@ PERIOD_NS = 2_000_000
 
 @dataclass(frozen=True)
 class Section:
-    """A ``[[motor]]`` section."""
+    """A ``[[motor]]`` section of a hand file."""
 
     name: str = "index_motor"
     protocol: str = "mit"
@@ -32,7 +32,7 @@ class Section:
 
 @dataclass
 class MotorRig:
-    """The drive, what it knows, and the motor; time goes on by one period a tick."""
+    """A drive, its state and the motor. Each tick advances time by one period."""
 
     drive: MitDrive
     motor: ScriptedMotor
@@ -42,7 +42,7 @@ class MotorRig:
     pending: list[Frame] = field(default_factory=list)
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> DriveState:
-        """Receive what was answered, advance, let the motor answer for the next tick."""
+        """Receive the replies, advance the drive, and let the motor reply for the next tick."""
         for frame in self.pending:
             self.state = self.drive.receive(self.state, frame)
         self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
@@ -52,7 +52,7 @@ class MotorRig:
         return self.state
 
     def until(self, target: DriveTarget, *phases: Phase, ticks: int = 300) -> DriveState:
-        """Go on until the drive is in one of the phases."""
+        """Run ticks until the drive is in one of the phases."""
         for _ in range(ticks):
             if self.tick(target).phase in phases:
                 return self.state

@@ -1,4 +1,4 @@
-"""What a person does with somebody else's client, here against ``python -m firmware_sim drive`` on any bus.
+"""Typical use of clients from other projects, with ``python -m firmware_sim drive`` on any bus.
 
 Each function arms a drive, lets it make a torque, sees the free shaft turn, and lets go. The clients wait for answers
 with limits of their own (0.4 s to 1 s); ours are longer.

@@ -1,4 +1,4 @@
-"""A motor as the manual describes it, written for these tests alone: bytes in, bytes out, everything can go wrong."""
+"""Independent model of a motor from its manual: bytes in, bytes out, with faults on request."""
 
 import struct
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ INTEGERS = {9: 0, 10: 1, 15: 0x1234}
 
 @dataclass
 class ScriptedMotor:
-    """State nibble, raw codes of position, velocity and torque, registers by number, and faults to play.
+    """A motor with state, raw codes of position, velocity and torque, registers by number, and faults to inject.
 
     Attributes:
         mute: registers that are not answered.
@@ -34,7 +34,7 @@ class ScriptedMotor:
     written: list[int] = field(default_factory=list)
 
     def answer(self, frame: Frame, t_ns: int) -> list[Frame]:
-        """Its answer to a frame of the host, none or one."""
+        """Return the reply to a frame of the host, or None."""
         data = self._data(frame)
         if data is None or self.silent:
             return []
@@ -74,7 +74,7 @@ class ScriptedMotor:
         return data[:4] + struct.pack(layout, self.registers[register])
 
     def feedback(self) -> bytes:
-        """8 bytes, put together bit by bit from the manual's table."""
+        """Return 8 bytes, packed bit by bit from the table of the manual."""
         position, velocity, torque = (
             format(code, f"0{bits}b") for code, bits in zip(self.codes, (16, 12, 12), strict=True)
         )

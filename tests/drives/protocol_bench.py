@@ -1,4 +1,4 @@
-"""Hand file in any protocol, and its drives run tick by tick against the simulated firmware."""
+"""A hand file with any protocol, and its drives tick by tick with the simulated firmware."""
 
 import json
 import re
@@ -28,7 +28,7 @@ OPTIONS = {
 
 
 def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
-    """The packaged hand with the motors' protocols replaced, one after the other.
+    """Return the packaged hand with the protocols of the motors replaced in order.
 
     Args:
         folder: to write into.
@@ -53,7 +53,7 @@ SECOND = '[[bus]]\nname = "second"\nbitrate = 1000000\n\n[sensor_node]'
 
 
 def on_two_buses(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
-    """The same file with some of the motors on a bus of their own, without the load cells."""
+    """Return the same file with some motors on a second bus, without the load cells."""
     head, *sections = path.read_text().replace("[sensor_node]", SECOND).split("[[motor]]")
     for i in motors:
         sections[i] = sections[i].replace('bus = "main"', 'bus = "second"')
@@ -109,7 +109,7 @@ class Bench:
 
 
 def described(protocol: str, node: int, torque: float, options: dict[str, object], **changes: object) -> Motor:
-    """A motor section for a drive alone on a bench, with a Damiao motor's ranges."""
+    """Return the section of a motor alone on a bench, with the ranges of a Damiao motor."""
     return Motor.model_validate(
         {
             "name": "m", "protocol": protocol, "bus": "bench", "node_id": node, "spool_radius_m": 0.005,
@@ -122,5 +122,5 @@ def described(protocol: str, node: int, torque: float, options: dict[str, object
 
 
 def servo_torques(bench: Bench) -> list[float]:
-    """What the simulated drives are really told to do."""
+    """Return the torque commands that the simulated drives execute."""
     return [motor.servo.torque for motor in bench.rig.world.plant.motors.values()]

@@ -35,7 +35,7 @@ OWN_KEYS = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
 
 @dataclass(frozen=True)
 class Section:
-    """The hand file's section: three load cells on two amplifiers."""
+    """Section of a hand file: three load cells on two amplifiers."""
 
     sync_id: int = 0x080
     tendons: tuple[str, ...] = TENDONS
@@ -151,7 +151,7 @@ class Bench:
         self.k += 1
 
     def until(self, phase: Phase, ticks: int = 400) -> None:
-        """Go on until all amplifiers are in a phase."""
+        """Run ticks until all amplifiers are in a phase."""
         for _ in range(ticks):
             self.tick()
             if all(state.phase == phase for state in self.states):
@@ -206,7 +206,7 @@ def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: Bench) -> None:
 
 
 def ignores_unit(node: Any) -> None:
-    """Confirm every write of the unit, and keep the old one."""
+    """Confirm each write of the unit, but keep the old unit."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x6131, 2) else write(key, raw)
 
@@ -216,7 +216,7 @@ def is_a_drive(node: Any) -> None:
 
 
 def refuses_the_type(node: Any) -> None:
-    """Know no synchronous transmission."""
+    """Refuse the synchronous transmission type."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x1800, 2) else write(key, raw)
 
@@ -248,7 +248,7 @@ def test_a_missing_amplifier_is_named() -> None:
 
 
 def test_frames_before_the_set_up_are_not_used() -> None:
-    """An amplifier still runs from before, with the unit as delivered: a hundred times the tension."""
+    """An amplifier still runs from an earlier session in its default unit, with 100 times the tension."""
     with homed_run(with_amplifiers(), 500.0, 0) as simulation:
         for node in nodes_of(simulation):
             node.receive(WireFrame(0x000, bytes((0x01, 0x00))), 0)
@@ -333,7 +333,7 @@ def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
 
 
 def test_late_answers_are_delays_and_no_second_node() -> None:
-    """Without a counter the late answer and the next one look like a duplicate with other bytes (B06: relax)."""
+    """Without a counter, a late reply and the next one look like a duplicate with other bytes (B06, RELAX)."""
     found, ticks = faults_of(with_amplifiers(), 0, inject("delay node=sensors size=2.5 p=0.05"))
     assert (found, ticks) == ({"B04"}, -1)
 

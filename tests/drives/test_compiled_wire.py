@@ -1,4 +1,4 @@
-"""The compiled wire beside each drive's own receive and advance: the same values, the same frames, whatever comes."""
+"""Compiled receive and send compared with those of each drive: equal values and equal frames for any input."""
 
 import math
 import random
@@ -30,7 +30,7 @@ NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
 @cache
 def enabled(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
-    """A drive that has come to torque, its state, the time [ns], and what it sends in a few ticks."""
+    """Return an enabled drive, its state, the time [ns], and its frames of a few ticks."""
     variant = VARIANTS[name]
     with TemporaryDirectory() as folder:
         path = hand_file(Path(folder), [variant.protocol], variant.options)
@@ -49,7 +49,7 @@ def enabled(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
 
 
 def some_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Frame:
-    """One of a drive's frames, as it was or changed in one way."""
+    """Return one frame of a drive, equal or changed in one way."""
     frame = chance.choice(heard)._replace(t_ns=t_ns)
     data, way = bytearray(frame.data), chance.randrange(12)
     if way == 0:
@@ -74,7 +74,7 @@ def some_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Fr
 
 
 def same(one: DriveState, other: DriveState, drive: Drive) -> bool:
-    """Whether two states are the same; a CiA 402 drive's sign of life may be in the time of its feedback."""
+    """Return True if two states are equal. The heartbeat of a CiA 402 drive may be in its feedback time."""
     if isinstance(drive, Cia402Drive):
         one, other = (
             state._replace(
@@ -120,7 +120,7 @@ def test_compiled_code_and_the_state_machine_are_one(name: str, seed: int) -> No
 
 
 def revived(state: DriveState, t_ns: int) -> DriveState:
-    """The state of an enabled drive as if it had come to torque now."""
+    """Return the state of an enabled drive as if it had been enabled now."""
     private = state.private
     clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
     times = {name: t_ns for name in clocks if name in private._fields}
@@ -158,7 +158,7 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
-    """Commands, and what answers them; a table more may be read, of what comes by itself or is not asked for."""
+    """Compare commands and replies. A drive may also read a table of unsolicited or rare messages."""
     drive, _, _, _ = enabled(name)
     told = sorted((message.length, bool(message.flags)) for message in drive.cyclic.commands)
     asked = len(drive.cyclic.commands) - 1 if isinstance(drive, OdriveDrive) else 1

@@ -1,4 +1,4 @@
-"""CubeMars motors in MIT mode, against their simulated firmware, and TMotorCANControl's payloads against both."""
+"""CubeMars motors in MIT mode with their simulated firmware, and TMotorCANControl's payloads compared with both."""
 
 import math
 from collections.abc import Iterator
@@ -94,14 +94,14 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(bench: Bench, error: Error
 
 
 def test_missing_guards_are_reported(tmp_path: Path) -> None:
-    """An AK80-9 follows 18 N m: nothing but this host keeps it to what the hand bears."""
+    """An AK80-9 obeys 18 N m, so only the host limits its torque to the limit of the hand."""
     told = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_guards)
     for guard in ("watchdog", "no torque limit", "2% of full-scale torque", "ranges cannot be read back"):
         assert guard in told
 
 
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
-    """CubeMars AK Series Actuator Driver Manual, 5.3: range -40 to 215; or as it is, where a motor is like that."""
+    """CubeMars AK Series Actuator Driver Manual, 5.3: -40 to 215. Some motors send the value without an offset."""
     for more, told in (({}, 45.0), ({"temperature_offset_C": 0}, 85.0), ({"temperature_offset_C": -40.0}, 45.0)):
         drive = make_drive(described("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more), 0)
         state = drive.receive(drive.initial(), Frame(1, bytes((1, 0x80, 0, 0x80, 8, 0, 85, 0))))
@@ -172,7 +172,7 @@ def test_options_that_make_no_motor_are_refused(options: dict[str, object], said
 
 
 def test_tmotorcancontrol_decodes_the_same_values() -> None:
-    """TMotorCANControl's codec, on this host's commands and on the simulated motor's answers."""
+    """Decode commands of this host and replies of the simulated motor with TMotorCANControl."""
     mit_can = pytest.importorskip("TMotorCANControl.mit_can")
     manager = object.__new__(mit_can.CAN_Manager)
     mit_can.CAN_Manager.__del__ = lambda self: None

@@ -1,4 +1,4 @@
-"""The DBC of a hand's buses: cantools reads by it what the controller reads by its tables."""
+"""The DBC file of a hand's buses: cantools decodes the same values as the controller."""
 
 import math
 from collections import Counter
@@ -44,13 +44,13 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 
 def read(wired: Wired, message: Message, i: int) -> dict[str, float]:
-    """What the controller has read of a frame of drive i."""
+    """Return the values that the controller decoded from a frame of drive i."""
     values = {signal.name: signal.quantity for signal in message.signals if signal.quantity in FIELD}
     return {name: float(wired.view(FIELD[quantity])[i]) for name, quantity in values.items()}
 
 
 def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
-    """In lockstep against the simulated firmware: feedback, commands, load cells and joint encoders."""
+    """Use frames of a lockstep run with the simulated firmware: feedback, commands, load cells, joint encoders."""
     dbc, hand = database(bench.hand), bench.hand
     bench.until(DriveTarget.POLL, Phase.READY)
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
@@ -83,7 +83,7 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
 
 
 def commanded(dbc: Database, frame: Frame, bench: Bench, torque: float) -> bool:
-    """Whether a frame is a command with a torque; it is the one that was sent, up to a count."""
+    """Return True for a command with a torque. Check that it is the sent torque within one count."""
     for drive in bench.drives:
         for message in drive.cyclic.commands:
             signals = [signal for signal in message.signals if signal.quantity == Quantity.TORQUE]

@@ -1,4 +1,4 @@
-"""Every identifier and every length of random data on every decoder; and every number on every encoder."""
+"""Random data of every identifier and length for every decoder, and random numbers for every encoder."""
 
 import functools
 import math
@@ -42,7 +42,7 @@ def extended_ids(bench: Bench, chance: random.Random) -> set[int]:
 
 
 def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:
-    """Each 11-bit identifier and many of 29 bits with each length, classical where it can be and FD elsewhere."""
+    """Yield all 11-bit and many 29-bit identifiers with each length, classical if possible, otherwise FD."""
     chance = random.Random(seed)
     for can_id in [*STANDARD_IDS, *sorted(extended_ids(bench, chance))]:
         data = chance.randbytes(64)
@@ -51,7 +51,7 @@ def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:
 
 
 def states_of(bench: Bench) -> list[DriveState]:
-    """Silent, ready and enabled; enabled is where the bench has brought its drives."""
+    """Return a silent, a ready and an enabled state. The enabled state comes from the bench."""
     ready = bench.states[0]._replace(phase=Phase.READY)
     return [bench.drives[0].initial(), ready, bench.states[0]]
 

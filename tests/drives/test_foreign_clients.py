@@ -1,4 +1,4 @@
-"""Clients that users have, against the simulated drives on a local bus; tests/vcan/inside has the same on SocketCAN."""
+"""Clients of users with the simulated drives on a local bus. tests/vcan/inside has the same on SocketCAN."""
 
 import subprocess
 from collections.abc import Iterator

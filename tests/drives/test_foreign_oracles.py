@@ -1,4 +1,4 @@
-"""Codecs against what others wrote: the vendor's DBC of ODrive, and canopen's reading of the shipped EDS file."""
+"""Codecs compared with foreign ones: ODrive's own DBC file, and canopen with the packaged EDS file."""
 
 import struct
 from pathlib import Path

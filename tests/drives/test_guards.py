@@ -1,4 +1,4 @@
-"""A drive is not armed while one of its guards reads back wrong: watchdog, heartbeat supervision, torque limit."""
+"""A drive is not armed if the read-back of a guard is wrong: watchdog, heartbeat supervision, torque limit."""
 
 import pytest
 
@@ -29,7 +29,7 @@ CASES = [(protocol, guard, name) for protocol, guards in GUARDS.items() for guar
 
 
 def hold(place: VirtualBench, guard) -> None:
-    """Have a setting keep its value, whatever is written; a write is answered as if it had been taken."""
+    """Make a setting keep its value. A write is confirmed as if it had an effect."""
     node = place.bench.nodes[0]
     if isinstance(node, MitNode):
         write = node.registers.write

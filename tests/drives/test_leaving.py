@@ -1,4 +1,4 @@
-"""What a run leaves behind: drives that miss the host and do not mind, unless it failed."""
+"""State of drives after a run: a missing host is no fault unless the run failed."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def until(course: Simulation, mode: Mode) -> None:
 
 
 def after_silence(course: Simulation) -> Simulation:
-    """Another run on the same drives, a second after the first one ended."""
+    """Return a second run on the same drives, one second after the end of the first."""
     for k in range(SILENCE_TICKS):
         course.peer.step((course.k + k) * course.period_ns, [])
     return Simulation(course.controller, course.peer, course.period_ns, course.controller.initial(), course.k + k + 1)

@@ -1,4 +1,4 @@
-"""LeRobot's RobStride bus drives the simulated motors in MIT mode. It needs lerobot, in an environment of its own."""
+"""LeRobot's RobStride bus drives the simulated motors in MIT mode. The test needs an environment with lerobot."""
 
 import pytest
 

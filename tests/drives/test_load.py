@@ -1,4 +1,4 @@
-"""Bus load against the worst-case table that was made by counting bits, and against a bit-exact stuffer."""
+"""Bus load compared with a worst-case table made by counting bits, and with bit-exact stuffing."""
 
 import pytest
 from hypothesis import given
@@ -35,7 +35,7 @@ PAYLOADS = st.lists(st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0x0F, 
 
 
 def stuffed(bits: str) -> str:
-    """Bits as on the wire: after five equal ones, stuff bits among them, comes their opposite."""
+    """Return the bits with stuff bits: after five equal bits, stuff bits included, follows an opposite bit."""
     out = ""
     for bit in bits:
         out += bit
@@ -45,7 +45,7 @@ def stuffed(bits: str) -> str:
 
 
 def crc15(bits: str) -> str:
-    """Source: ISO 11898-1, the polynomial 0x4599."""
+    """Return the CRC-15 of the bits. Source: ISO 11898-1, the polynomial 0x4599."""
     register = 0
     for bit in bits:
         top = register >> 14 & 1
@@ -64,7 +64,7 @@ def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: 
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
-    """All zeros: the classical bound is not a bound for show."""
+    """A frame of zeros nearly reaches the bound of classical frames."""
     body = "0" * 19 + "0" * 64
     bits = len(stuffed(body + crc15(body))) + 13
     assert bits > 0.85 * 135

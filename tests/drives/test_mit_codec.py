@@ -1,4 +1,4 @@
-"""MIT frames against bytes made by hand from the manual's tables, and against everything that can be encoded."""
+"""MIT frames compared with bytes from the tables of the manual, and with all values that can be encoded."""
 
 import math
 import struct

@@ -1,4 +1,4 @@
-"""What a motor, its power and a second controller can do to a drive's state; nothing unconfirmed counts as disabled."""
+"""Faults by motor, power or a second controller. Only a confirmed state counts as disabled."""
 
 import pytest
 

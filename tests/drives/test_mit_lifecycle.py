@@ -1,4 +1,4 @@
-"""A motor's way from silence by its registers to torque and back."""
+"""Life cycle of a motor: silent, set-up of registers, enabled, disabled."""
 
 import math
 

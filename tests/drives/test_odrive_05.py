@@ -1,4 +1,4 @@
-"""ODrive firmware 0.5.x: the same walk to torque and back, its own heartbeat, and guards that nobody can verify."""
+"""ODrive firmware 0.5.x: the same life cycle, another heartbeat, and guards that cannot be verified."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a hand file may say of a drive: nothing that a drive would then count with and divide by."""
+"""Options of a drive in a hand file: no value may break the arithmetic of the drive."""
 
 import math
 from pathlib import Path
@@ -45,7 +45,7 @@ def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
 
 
 def test_position_step_is_reported() -> None:
-    """An encoder of a thousand counts is coarser than 16 bit over the range, and the filter must know."""
+    """An encoder of 1000 counts is coarser than 16 bit over the range, and the filter needs its resolution."""
     coarse = CIA402 | {"counts_per_turn": 1000, "gear_ratio": 2.0}
     assert make_drive(described("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(math.pi / 1000)
     assert make_drive(described("mit", 1, 0.01, {}), 0).position_step == pytest.approx(25.0 / 65535)

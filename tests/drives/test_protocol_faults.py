@@ -1,4 +1,4 @@
-"""What goes wrong with ODrive and CiA 402 drives, played by the simulated firmware, and how it is told."""
+"""Faults of ODrive and CiA 402 drives, injected by the simulated firmware, and their messages."""
 
 import struct
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ def first_cia402(bench: Bench) -> Cia402Node:
 
 
 def first_in(bench: Bench, phase: Phase, target: DriveTarget, ticks: int) -> str:
-    """Go on until the first drive is in a phase; its error in words."""
+    """Run ticks until the first drive is in a phase. Return its error text."""
     for _ in range(ticks):
         bench.tick(target)
         if bench.states[0].phase == phase:
@@ -54,7 +54,7 @@ def first_in(bench: Bench, phase: Phase, target: DriveTarget, ticks: int) -> str
 
 
 def losing(node: OdriveNode, command: int, start: bytes = b"", times: int = 1) -> list[WireFrame]:
-    """Lose the first frames of a command to the first ODrive whose data begin like this; return what was lost."""
+    """Lose the first frames of a command to the first ODrive whose data start so. Return the lost frames."""
     taken, lost = node.receive, list[WireFrame]()
 
     def receive(frame: WireFrame, t_ns: int) -> list[WireFrame] | None:
@@ -70,7 +70,7 @@ def losing(node: OdriveNode, command: int, start: bytes = b"", times: int = 1) -
 
 @pytest.mark.parametrize("moment", ["ready", "ordered"])
 def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench, moment: str) -> None:
-    """It comes back in position control and without its watchdog, and nothing but being idle tells of it."""
+    """It restarts in position control and without its watchdog. Only its idle state shows this."""
     node = first_odrive(odrive)
     odrive.until(DriveTarget.POLL, Phase.READY)
     if moment != "ready":
@@ -91,7 +91,7 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench,
 
 @pytest.mark.parametrize("command", [codec.SET_MODE, codec.SET_LIMITS])
 def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: Bench, command: int) -> None:
-    """Nothing tells that it arrived: in position control the first torque would have been a leap."""
+    """The drive does not confirm it. In position control the first torque would be a position jump."""
     node = first_odrive(odrive)
     lost = losing(node, command)
     before = node.velocity_limit
@@ -103,7 +103,7 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: B
 
 @pytest.mark.parametrize("losses", [1, 2, 3])
 def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, losses: int) -> None:
-    """No answer tells that it arrived, and one lost frame in a thousand is one start in ten of eleven motors."""
+    """No reply confirms a write. With one lost frame in 1000, one start in ten of 11 motors would fail."""
     node = first_odrive(odrive)
     lost = losing(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
     if losses < 3:
@@ -139,7 +139,7 @@ def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> Non
 
 @pytest.mark.parametrize("target", [DriveTarget.ENABLE, DriveTarget.POLL])
 def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(odrive: Bench, target: DriveTarget) -> None:
-    """Somebody starts a calibration over USB: the drive makes torque without a command, and reports no error."""
+    """A calibration started over USB makes torque without a command, and reports no error."""
     odrive.until(target, Phase.ENABLED if target == DriveTarget.ENABLE else Phase.READY)
     first_odrive(odrive).state = 3
     assert "in axis state 3" in first_in(odrive, Phase.FAULT, target, 60).replace("went to", "in")
@@ -215,7 +215,7 @@ def test_a_bus_without_sync_is_said(cia402: Bench) -> None:
 
 
 def strict(bench: Bench) -> Bench:
-    """The same with drives that pass over a SYNC with data, as CANopenNode's do while 0x1019 is 0."""
+    """Return the same with drives that ignore a SYNC with data, as CANopenNode does while 0x1019 is 0."""
     for node in bench.rig.world.nodes[0]:
         if isinstance(node, Cia402Node):
             hear = node.receive

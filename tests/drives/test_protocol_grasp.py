@@ -1,4 +1,4 @@
-"""The whole job in lockstep, commissioning and grasp, with each protocol."""
+"""Commissioning and grasp in lockstep, with each protocol."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What every protocol must do, against its simulated firmware, which shares no code with it."""
+"""Behaviour that every protocol needs, tested with its simulated firmware, which shares no code with it."""
 
 import math
 import random
@@ -47,7 +47,7 @@ def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None
 def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     protocol: str, period_ms: int, tmp_path: Path
 ) -> None:
-    """What was verified in the last tick is as good as it can be, however long a tick is."""
+    """A setting verified in the last tick is valid for a tick of any length."""
     slow = Bench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
     slow.until(DriveTarget.POLL, Phase.READY)
     for _ in range(5):
@@ -87,7 +87,7 @@ def test_a_cut_takes_the_torque_away_in_the_same_tick_and_disarms(bench: Bench) 
 
 
 def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Bench) -> None:
-    """CiA 301: no PDO is read outside of operational; CiA 402-2 asks for no reaction to pre-operational."""
+    """CiA 301: PDOs act only in operational. CiA 402-2 requires no reaction to pre-operational."""
     for drive in bench.drives:
         orders = [frame.can_id for frame in drive.cut()]
         assert 0 not in orders[:1], "an NMT order comes after the control word"

@@ -1,4 +1,4 @@
-"""The walk through settings that all protocols share."""
+"""Write and read-back of settings, common to all protocols."""
 
 import pytest
 

@@ -33,7 +33,7 @@ def enabled(node_id: int) -> tuple[MitDrive, object]:
 
 
 def run(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: bool = True):
-    """Answer commands and requests for so many ticks; the state, and the tick and register of each request."""
+    """Reply to commands and requests for a number of ticks. Return the state, and tick and register of each request."""
     asked = []
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
     for k in range(ticks):
@@ -57,7 +57,7 @@ GOOD = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
 
 @pytest.mark.parametrize("node_id", [1, 11, 0x11, 0x1F])
 def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
-    """Also where the first byte of an answer is that of the feedback of an enabled motor."""
+    """The first byte of a reply may equal that of the feedback of an enabled motor."""
     drive, state = enabled(node_id)
     state, asked = run(drive, state, 2001, GOOD)
     assert [register for _, register in asked] == [codec.TIMEOUT, codec.TMAX] * 4

@@ -83,7 +83,7 @@ def test_faults_are_read_before_torque_and_go_by_order_only(bench: Bench, fault:
 
 
 def test_only_a_disabled_motor_is_asked_for_its_faults(bench: Bench) -> None:
-    """To another make of MIT motor the read of faults is a motion command."""
+    """For other MIT motors, the request for faults is a motion command."""
     seen = []
     for target, phase in ((DriveTarget.ENABLE, Phase.ENABLED), (DriveTarget.DISABLE, Phase.READY)):
         for _ in range(100):
@@ -125,7 +125,7 @@ def test_a_wrong_option_is_refused_by_its_path(options: dict[str, object], wrong
 
 
 def test_no_numbers_share_an_identifier() -> None:
-    """Motors as delivered all answer on 0."""
+    """New motors all reply with identifier 0."""
     assert drive_of(host_id=0).node_ids == {0}
     drive = drive_of()
     assert (drive.node_ids, drive.host_ids) == ({0x15}, {0x05, 0x105, 0x205})
@@ -143,7 +143,7 @@ def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> N
 
 
 def test_numbers_and_protocol_change_by_special_commands() -> None:
-    """Every one of them is answered by the identity. handctl sends none of them."""
+    """The motor replies to each with its identity. handctl sends none of them."""
     place = VirtualBench("robstride_mit")
     node = place.bench.nodes[0]
     assert isinstance(node, RobstrideMitNode)

@@ -1,4 +1,4 @@
-"""The sensor node's frames against its DBC file, as a foreign decoder reads it, and the host's view of them."""
+"""Frames of the sensor node compared with its DBC file by another decoder, and the state of the host."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ JOINTS = tuple(f"j{i}" for i in range(CHANNELS))
 
 @dataclass(frozen=True)
 class Section:
-    """The hand file's section."""
+    """Section of a hand file."""
 
     sync_id: int = 0x080
     base_id: int = 0x1A0
@@ -50,7 +50,7 @@ def node() -> SensorNode:
 
 
 def encoded(first_id: int, prefix: str, counter: int, values: Sequence[float], t_ns: int = 0) -> list[Frame]:
-    """Frames as the DBC has them, each as long as its channels need."""
+    """Return frames as the DBC file encodes them, each with the length of its channels."""
     frames = []
     for group in range(math.ceil(len(values) / 5)):
         part = values[5 * group : 5 * group + 5]
@@ -76,7 +76,7 @@ def test_counters_keep_the_turn_of_the_joints(decimation: int) -> None:
 
 @pytest.mark.parametrize("decimation", [1, 2, 3, 4, 5, 6, 7])
 def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
-    """Less than 8 ticks old never, older ones by chance: more than 40 of 100 are lost then, which relaxes (B03b)."""
+    """A frame up to 7 ticks old never counts as new, an older one by chance. Then over 40 of 100 are lost (B03b)."""
     nibbles = [counter & 0xF for counter in sync_counters(decimation)]
     n = len(nibbles)
     for age in range(1, 200):
@@ -87,7 +87,7 @@ def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
 
 
 def heard(node: SensorNode, k: int) -> Wired:
-    """What is known of the node once tick k has asked."""
+    """Return the state of the node after the request of tick k."""
     wired = Wired((), node)
     wired.sync(k)
     return wired
@@ -110,7 +110,7 @@ def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int
 
 
 def test_sensor_frames_are_decoded_to_known_values() -> None:
-    """By hand: 0 N is raw 96 = 0x060, 10 N raw 256 = 0x100, rail 0xFFF; 0 rad is raw 0x800; counter 7."""
+    """By hand: 0 N is 96 = 0x060, 10 N is 256 = 0x100, the rail is 0xFFF, 0 rad is 0x800, the counter is 7."""
     node = SensorNode.of(Section(tendons=TENDONS[:3], joints=("j4",)), 0, TENDONS, JOINTS)
     sync = node.sync(tick_of(node, 7))
     assert sync == Frame(0x080, sync.data)
@@ -133,7 +133,7 @@ def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
 
 @pytest.mark.parametrize(("base", "prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
 def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(node: SensorNode, base: int, prefix: str) -> None:
-    """It has been on its way for a tick and was overtaken, or somebody sends it again."""
+    """The frame was delayed and overtaken, or another node sends it again."""
     (fresh, *_), (stale, *_) = (encoded(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2))
     for frames, told in (([stale], 1), ([stale, fresh], 1), ([fresh, stale], 2), ([fresh, stale, stale], 2)):
         wired = heard(node, tick_of(node, 3)).receive(frames)
@@ -178,7 +178,7 @@ def test_a_hand_without_load_cells_has_no_reading() -> None:
 
 
 def unheard(wired: Wired) -> bytes:
-    """The block without what counts frames of nobody."""
+    """Return the block without the counters of unknown frames."""
     block = wired.block.copy()
     for name in ("strange", "misread_now"):
         wired.layout.view(block, name)[...] = 0
@@ -270,7 +270,7 @@ def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
 
 
 def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
-    """In whatever order and tick; what is said of joints does not count."""
+    """The order and the ticks do not matter, and joint encoders do not count."""
     wired, bare = (Wired((), one) for one in (node, replace(node, frame_of=(*node.frame_of[:-1], -1))))
     for hand in (wired, bare):
         hand.view("position")[...] = 0.0

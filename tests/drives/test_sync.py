@@ -38,7 +38,7 @@ def without_sensors() -> Hand:
 
 
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
-    """A hand of CiA 402 drives on two buses had no SYNC on the bus without the sensor node, and never armed."""
+    """Regression: the bus without the sensor node had no SYNC, so the hand of CiA 402 drives never armed."""
     path = on_two_buses(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))
     assert senders(hand) == ["thumb_motor"], "the last drive of the bus without the sensor node"
@@ -63,7 +63,7 @@ def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
     ],
 )
 def test_one_drive_of_a_bus_sends_sync(old: str, new: str, expected: list[str], tmp_path: Path) -> None:
-    """A sensor node with an identifier of its own is no SYNC for drives. The option of the hand file stays."""
+    """A sensor node with another SYNC identifier gives no SYNC to drives. The option of the hand file stays."""
     path = on_two_buses(hand_file(tmp_path, ["cia402"]))
     text = path.read_text()
     assert old in text

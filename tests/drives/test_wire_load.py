@@ -1,4 +1,4 @@
-"""The load that a simulated wire really has, against what ``bus plan`` says before; and a hand on a bad wire."""
+"""Load of a simulated bus compared with the prediction of ``bus plan``, and a hand on a disturbed bus."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,12 +17,12 @@ PERIOD_NS = 4_000_000
 
 
 def planned_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
-    """Time of a tick on each bus, frames that come by time included."""
+    """Return the planned time of a tick on each bus, with the frames that a timer sends."""
     return [load.at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))]
 
 
 def busy_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
-    """Time of an enabled hand's tick on each bus, averaged over many."""
+    """Return the mean measured time of an enabled hand's tick on each bus."""
     bench = Bench(path, wire, period_ns)
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     assert bench.rig.wired

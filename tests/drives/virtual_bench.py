@@ -1,4 +1,4 @@
-"""A simulated drive alone on a bench, in virtual time, and the host's side of it."""
+"""A simulated drive alone on a bench in virtual time, and the host of the bench."""
 
 from dataclasses import replace
 
@@ -71,6 +71,6 @@ class VirtualBench:
 
 
 def rig_on(place, protocol, limit, options=None):
-    """The host's side of the drive, with a torque limit [N m]."""
+    """Return the host of the drive, with a torque limit [N m]."""
     motor = described(protocol, NODE, limit, OPTIONS[protocol] if options is None else options)
     return DriveRig(make_drive(motor, 0), place, place)

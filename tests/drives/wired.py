@@ -1,4 +1,4 @@
-"""Drives and sensor node on a block, received and sent by the compiled wire as a tick does it."""
+"""Drives and sensor node with a state block, received and sent by compiled code as in a tick."""
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
@@ -19,7 +19,7 @@ from handctl.drives.sensors.contract import Sensors
 
 
 class Wired:
-    """What one tick hands to the next of drives and sensor node.
+    """State of drives and sensor node between ticks.
 
     Attributes:
         block: numbers. states: of the drives, as their state machines left them; their values are in the block.
@@ -44,27 +44,27 @@ class Wired:
             self.keep(i, state)
 
     def view(self, name: str) -> NDArray:
-        """A field of the block."""
+        """Return a field of the block."""
         return self.layout.view(self.block, name)
 
     def number(self, name: str) -> int:
-        """A number of the run."""
+        """Return a number of the run."""
         return int(self.view(name)[0])
 
     def begin(self) -> None:
-        """Begin a tick, whose number and time stay."""
+        """Begin a tick with an unchanged number and time."""
         numbers = [self.number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
         wire.begin_tick(self.block, self.layout.places, *numbers)
 
     def sync(self, k: int) -> Frame:
-        """Ask the sensors, as the tick's end does it, and begin the next tick."""
+        """Send the request to the sensors as the end of a tick does, and begin the next tick."""
         frame = self.sensors.sync(k)
         self.view("sync_asked")[...], self.view("syncs")[...] = self.sensors.counter(k) & 0xF, self.number("syncs") + 1
         self.begin()
         return frame
 
     def receive(self, frames: Iterable[Frame]) -> "Wired":
-        """Take frames in."""
+        """Receive frames."""
         frames, known, at = frames_as_records(frames), self.tables, 0
         self.seen, self.foreign = [], []
         while True:
@@ -84,7 +84,7 @@ class Wired:
             at += 1
 
     def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
-        """Commands of a tick."""
+        """Return the commands of a tick."""
         self.view("t_ns")[...] = t_ns
         tables, sent, first = self.tables, list[Frame](), 0
         while True:
@@ -103,7 +103,7 @@ class Wired:
             first += 1
 
     def keep(self, i: int, known: DriveState) -> None:
-        """Write a drive's state."""
+        """Write the state of a drive."""
         drive, whole, table = (
             self.drives[i],
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
@@ -115,7 +115,7 @@ class Wired:
         self.states[i] = known
 
     def drive(self, i: int) -> DriveState:
-        """A drive's state with the values of the block."""
+        """Return the state of a drive with the values of the block."""
         table, whole = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[i].with_values(*drive_values(table, whole, i))
 
@@ -123,23 +123,23 @@ class Wired:
 
     @property
     def tensions(self) -> dict[int, float]:
-        """Load cells that were read in this tick [N]."""
+        """Return the load-cell readings of this tick [N]."""
         fresh, cells = self.view("cell_fresh"), self.view("cell")
         return {i: float(cells[i]) for i in np.flatnonzero(fresh).tolist()}
 
     @property
     def joints(self) -> dict[int, float]:
-        """Joint encoders that were read in this tick [rad]."""
+        """Return the joint-encoder readings of this tick [rad]."""
         fresh, angles = self.view("joint_fresh"), self.view("joint_angle")
         return {j: float(angles[j]) for j in np.flatnonzero(fresh).tolist()}
 
     @property
     def misread(self) -> bool:
-        """Whether a frame of the sensor node had a wrong shape in this tick."""
+        """Return True if a frame of the sensor node had a wrong form in this tick."""
         return bool(self.view("misread_now")[-1])
 
     def observe(self) -> "Wired":
-        """Turn what came into measurements, and start the filter if every sensor was read."""
+        """Convert the received values to measurements, and start the filter if every sensor was read."""
         stages.observe_tick(self.block, self.layout.places, *self._constants)
         return self
 

@@ -1,4 +1,4 @@
-"""Hands and digits that the tests of this room run over."""
+"""Hands and digits for the tests of this folder."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -17,25 +17,25 @@ SPATIAL = ("orca_like",)
 
 @pytest.fixture(params=[name for name in packaged_hands() if name not in SPATIAL])
 def hand(request: pytest.FixtureRequest) -> Hand:
-    """Every packaged hand of planar digits on the palm."""
+    """Return every packaged hand of planar digits on the palm."""
     return load_hand(request.param)
 
 
 @pytest.fixture
 def digits(hand: Hand) -> tuple[DigitModel, ...]:
-    """All its digits."""
+    """Return all digits of the hand."""
     return tuple(DigitModel.of(hand, name) for name in hand.digit_names)
 
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """Random numbers, the same on every run."""
+    """Return a random generator with a fixed seed."""
     return np.random.default_rng(20240501)
 
 
 @pytest.fixture
 def refusal() -> Callable[[Mapping[str, Any]], str]:
-    """The one line that refuses a content: file, key path, value, and what would be right."""
+    """Return the line with which content is refused: file, key path, value, and expected value."""
 
     def refuse(content: Mapping[str, Any]) -> str:
         with pytest.raises(ConfigError) as caught:

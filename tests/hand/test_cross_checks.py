@@ -1,4 +1,4 @@
-"""What must agree within a hand file: units, references, lengths, limits, identifiers, routing."""
+"""Consistency within a hand file: units, references, lengths, limits, identifiers, routing."""
 
 import copy
 import math
@@ -15,7 +15,7 @@ JAMIA = hand_content("jamia")
 
 @pytest.fixture
 def edited(refusal):
-    """Refusal of the packaged hand after an edit of its content, without the file's name."""
+    """Return the refusal of the packaged hand after an edit of its content, without the name of the file."""
 
     def refuse(edit):
         content = copy.deepcopy(JAMIA)
@@ -26,7 +26,7 @@ def edited(refusal):
 
 
 def put(section, index, **values):
-    """An edit that sets values of one section."""
+    """Return an edit that sets values of one section."""
     return lambda content: (content[section] if index is None else content[section][index]).update(values)
 
 

@@ -1,4 +1,4 @@
-"""What a right hand file becomes, and what is said of files that are none."""
+"""Hands from valid files, and the errors of invalid files."""
 
 import copy
 import re
@@ -15,12 +15,12 @@ CONTENT = {name: hand_content(name) for name in packaged_hands()}
 
 @pytest.fixture(params=packaged_hands())
 def hand(request):
-    """Every packaged hand."""
+    """Return every packaged hand."""
     return load_hand(request.param)
 
 
 def changed(content, path, value):
-    """A copy of the content with one value replaced."""
+    """Return a copy of the content with one value replaced."""
     content = copy.deepcopy(content)
     node = content
     for key in path[:-1]:
@@ -81,7 +81,7 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 
 
 def tweakable(content):
-    """Values that may change a little without anything else having to."""
+    """Return values that may change slightly without a change of others."""
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]
     for i in range(2):

@@ -1,4 +1,4 @@
-"""Documents: each kind of mistake as the whole line that a person reads."""
+"""Documents: the complete error line of each kind of mistake."""
 
 import datetime
 from typing import Annotated, Any, Literal

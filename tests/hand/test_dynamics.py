@@ -17,17 +17,17 @@ TOLERANCE = 1e-9
 
 
 def states(rng, n, samples=SAMPLES):
-    """Random (q, dq, ddq), fast enough that every term counts."""
+    """Return random (q, dq, ddq), fast enough that every term matters."""
     return zip(*(scale * rng.normal(size=(samples, n)) for scale in (1.5, 15.0, 400.0)), strict=True)
 
 
 def agree(mine, reference):
-    """Relative to the largest entry."""
+    """Return True if arrays agree, relative to the largest entry."""
     return np.abs(np.asarray(mine) - reference).max() <= TOLERANCE * np.abs(reference).max()
 
 
 def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
-    """Build the digit as a chain of hinges, not by way of URDF."""
+    """Build the digit as a chain of hinges, without URDF."""
     model, parent = pinocchio.Model(), 0
     place = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
     for i in range(digit.joint_count):
@@ -104,7 +104,7 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
 
 
 def whole_hand(digits, q, dq, ddq):
-    """Inverse dynamics of all digits in a row."""
+    """Return inverse dynamics of all digits in order."""
     return np.concatenate([dynamics.inverse_dynamics(d, q[d.joints], dq[d.joints], ddq[d.joints]) for d in digits])
 
 

@@ -31,12 +31,12 @@ def planar(digit, q):
 
 
 def angles(rng, digit, count=100):
-    """Random joint angles beyond the limits both ways."""
+    """Return random joint angles beyond both limits."""
     return rng.uniform(-2.5, 2.5, (count, digit.joint_count))
 
 
 def moved_hand() -> Hand:
-    """A hand whose digits are mounted askew, so that no rotation is the identity or a half turn."""
+    """Return a hand whose digits have general orientations, so that no rotation is the identity or a half turn."""
     content = load_hand("jamia").content
     tilts = ((25.0, -40.0, 70.0), (-160.0, 15.0, 5.0), (90.0, 0.0, 90.0), (10.0, 85.0, -120.0))
     digits = [{**digit, "mount_rpy_deg": tilt} for digit, tilt in zip(content["digit"], tilts, strict=True)]

@@ -1,4 +1,4 @@
-"""Every way to get a hand file wrong gives one line that names the key, the value and what would be right."""
+"""Every mistake in a hand file gives one line with key, value and expected value."""
 
 import copy
 import math
@@ -17,7 +17,7 @@ OPTIONAL = {"coupling"}
 
 
 def leaves(node, path=()):
-    """(path, value) of everything in a file that is not a table or a list."""
+    """Yield (path, value) of everything in a file that is not a table or a list."""
     entries = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else None
     if entries is None:
         yield path, node
@@ -27,7 +27,7 @@ def leaves(node, path=()):
 
 
 def tables(node, path=()):
-    """Paths of all tables whose keys the schema gives."""
+    """Yield the paths of all tables whose keys the schema defines."""
     if isinstance(node, dict):
         yield path, node
     for key, value in node.items() if isinstance(node, dict) else enumerate(node):
@@ -40,7 +40,7 @@ def is_number(value):
 
 
 def changed(content, path, value):
-    """A copy of the content with one value replaced."""
+    """Return a copy of the content with one value replaced."""
     content = copy.deepcopy(content)
     node = content
     for key in path[:-1]:
@@ -50,7 +50,7 @@ def changed(content, path, value):
 
 
 def said(content, path):
-    """The path as the message should say it."""
+    """Return the key path as the message spells it."""
     text, node = "", content
     for key in path:
         node = node[key]
@@ -141,7 +141,7 @@ def test_a_misspelt_key_is_reported_with_the_right_one(refusal, name):
 
 
 def test_random_change_is_read_or_refused_in_one_line():
-    """No value of any kind at any place escapes as another exception."""
+    """No value of any type at any place raises another exception."""
     content = CONTENT["jamia"]
     for path, _ in [*leaves(content), *tables(content)]:
         if len(path) > 1 and path[1] in (1, 2):
@@ -152,7 +152,7 @@ def test_random_change_is_read_or_refused_in_one_line():
 
 
 def usable_or_refused(content):
-    """Whether a hand comes of it that everything can be made of, or one line."""
+    """Return True if a hand can be built and used, or is refused in one line."""
     try:
         hand = hand_from_content(content, "f")
     except ConfigError as error:

@@ -14,7 +14,7 @@ PRESENT = dynamics._rigid_body_torque
 
 
 def eq10(digit, gravity, q, dq, ddq):
-    """All of the model but T_1."""
+    """Return all terms of the model except T_1."""
     _, tau2, tau3 = (*PRESENT(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]
     states = {"g": 1.0}

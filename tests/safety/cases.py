@@ -1,4 +1,4 @@
-"""Each fault as it should be: what shows it and what just does not, what it demands, and who may end it."""
+"""Cases of each fault: input that shows it, input just below the limit, its action, and who may clear it."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -25,7 +25,7 @@ CELLS = COUNT
 
 
 class Shown(NamedTuple):
-    """One tick: rows of the state that differ from rest, by field and index, and reports of buses and host."""
+    """Input of one tick: rows of the state that differ from rest, by field and index, and reports of buses and host."""
 
     rows: Mapping[str, dict[object, float]] = MappingProxyType({})
     reports: tuple[Report, ...] = ()
@@ -35,7 +35,7 @@ REST = Shown()
 
 
 class Case(NamedTuple):
-    """A fault as it should be.
+    """Expected behaviour of one fault.
 
     Attributes:
         present: what shows it. almost: what just does not.
@@ -53,12 +53,12 @@ class Case(NamedTuple):
 
 
 def rows(**cells: object) -> Shown:
-    """Show rows of the state: a number for one of the run, numbers by index for the others."""
+    """Return rows of the state: one number for a field of the run, numbers by index for other fields."""
     return Shown({name: c if isinstance(c, dict) else {...: c} for name, c in cells.items()})  # type: ignore[misc]
 
 
 def ages(field: str, **late: int) -> Shown:
-    """Show feedback of motors (m1=...), or frames of load cells (t1=...) or joints (j1=...), of so many ticks ago."""
+    """Return ages in ticks: feedback of motors (m1=...), frames of load cells (t1=...) or joints (j1=...)."""
     first = COUNT if field == "group_ns" and min(late)[0] == "j" else 0
     return rows(**{field: {first + int(name[1:]): NOW_NS - ticks * PERIOD_NS for name, ticks in late.items()}})
 
@@ -72,17 +72,17 @@ def sensors(**late: int) -> Shown:
 
 
 def lost(**number: int) -> Shown:
-    """Show losses of nodes (m1=..., cells=...) in the last ticks but this one."""
+    """Return losses of nodes (m1=..., cells=...) in the last ticks, the present tick excluded."""
     return rows(lost={(0, CELLS if name == "cells" else int(name[1:])): (1 << n) - 1 for name, n in number.items()})
 
 
 def misshapen(node: int, before: int) -> Shown:
-    """Show a frame of a wrong shape now, and so many in the ticks before."""
+    """Return frames of a wrong length: one in this tick, and a number of them in the ticks before."""
     return rows(misread_now={node: 1}, misshapen={node: (1 << before) - 1})
 
 
 def residual(row: int, **values: float) -> Shown:
-    """Show a filtered residual of tendons or motors."""
+    """Return a filtered residual of tendons or motors."""
     return rows(residual={(row, int(name[1:])): value for name, value in values.items()})
 
 
@@ -103,7 +103,7 @@ def io(kind: str, where: str = "can0", number: int = 1) -> Shown:
 
 
 def merged(*shown: Shown) -> Shown:
-    """Show everything that each of these shows."""
+    """Combine several inputs of one tick."""
     cells: dict[str, dict[object, float]] = {}
     for one in shown:
         for name, values in one.rows.items():
@@ -115,17 +115,17 @@ def merged(*shown: Shown) -> Shown:
 
 
 def without_torque(shown: Shown) -> Shown:
-    """Show the same to a hand that is ready to be armed."""
+    """Return the same input for a hand that is ready to be armed."""
     return Shown({**shown.rows, "mode": {...: int(Mode.READY)}}, shown.reports)
 
 
 def slack(before: int, tendon: int = 3) -> Shown:
-    """Show a tendon that is slack for one tick more than this."""
+    """Return a tendon that has been slack for one tick more than the limit."""
     return rows(slack_ticks={tendon: before}, taut_ago={tendon: 5}, residual={(TENSION, tendon): 0.0})
 
 
 def derailed(tendon: int, deg: float) -> Shown:
-    """Show joint and spool apart, for the third reading."""
+    """Return a difference of joint and spool in the third reading."""
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
     return rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},
                 measured_excursion={tendon: excursion})  # fmt: skip
@@ -148,7 +148,7 @@ def stuck_joint(joint: int, deg: float) -> Shown:
 
 
 def replayed(tendon: int, run: int) -> Shown:
-    """Show readings that are, for the so-manieth time in a row, those of 16 ticks ago."""
+    """Return readings that repeat those of 16 ticks ago, for the given number of times in a row."""
     past = {(age, tendon): 20.0 + (age - 15) / 16.0 for age in range(64)}
     return rows(past=past, same={(15, tendon): run - 1})
 
@@ -173,7 +173,7 @@ def swinging(tendon: int, before: float) -> Shown:
 
 
 def following(motor: int, part: float) -> Shown:
-    """Show the fraction of each increment of 1 N of the command that a motor reports."""
+    """Return the fraction of each command increment of 1 N that a motor reports."""
     return rows(report_moments={(row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))})
 
 
@@ -274,11 +274,11 @@ OTHER_SIGNS = {
 
 
 def rested() -> Monitor:
-    """Return the monitor of a hand at rest, whose residuals stay as they are set."""
+    """Return the monitor of a hand at rest. Its residuals keep the values that a test sets."""
     return Monitor(LIMITS, residual_fraction=0.0, coulomb=0.0, stiffness=1e5)
 
 
 def show(monitor: Monitor, shown: Shown) -> Rows:
-    """Bring a monitor back to rest, and return the rows to set for one tick."""
+    """Reset a monitor to rest, and return the rows to set for one tick."""
     monitor.forget()
     return dict(shown.rows)

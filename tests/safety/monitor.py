@@ -1,4 +1,4 @@
-"""The monitor of a made-up hand: rows of the state are set by name, one call is one tick of ``stages.find_faults``."""
+"""Safety monitor of a synthetic hand: a test sets rows of the state, and one call is one tick of ``find_faults``."""
 
 from collections.abc import Iterable
 from types import FunctionType, SimpleNamespace
@@ -30,7 +30,7 @@ Rows = dict[str, Any]
 
 
 def made_up(tendons: int) -> Limits:
-    """Return limits of a hand of some tendons t0, t1, ..., each with a motor and a joint."""
+    """Return limits of a synthetic hand with tendons t0, t1, ..., each with one motor and one joint."""
     names = [tuple(f"{letter}{i}" for i in range(tendons)) for letter in "tmj"]
     return Limits(
         *names, tension_trip=(140.0,) * tendons, drive_limit=(160.0,) * tendons, tension_rail=244.0, tension_low=-5.0,
@@ -39,7 +39,7 @@ def made_up(tendons: int) -> Limits:
 
 
 class Monitor:
-    """A hand of N tendons, each with a motor, a joint and frames of its own for load cell and joint encoder.
+    """A hand of N tendons. Each has a motor, a joint, and separate frames for its load cell and its joint encoder.
 
     It is active, at rest, and everything has just answered: 20 N by cells, motors and commands.
 
@@ -84,7 +84,7 @@ class Monitor:
         self.calm = self.block.copy()
 
     def follow(self, limits: Limits) -> None:
-        """Judge by these limits from now on."""
+        """Use these limits from now on."""
         self.limits = limits
         self.set_constants(
             tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.noise,
@@ -116,23 +116,23 @@ class Monitor:
         return list(self.view(name).tolist())
 
     def forget(self) -> None:
-        """Bring everything back to rest, but not for how long each fault has been present."""
+        """Reset all values to rest, except the time for which each fault has been present."""
         present = self.view("fault_ticks").copy()
         self.block[:] = self.calm
         self.set({"fault_ticks": present})
 
     @property
     def state_tables(self) -> Tables:
-        """Tables of the state, for functions that run interpreted."""
+        """Return the tables of the state, for interpreted functions."""
         return _python(state_tables)(self.block, self.layout.places)
 
     @property
     def hand_tables(self) -> ConstantTables:
-        """Tables of the constants, likewise."""
+        """Return the tables of the constants, for interpreted functions."""
         return _python(constant_tables)(self.constants, self.hand.places)
 
     def tick(self, rows: Rows | None = None, **more: Any) -> dict[str, dict[str, float]]:
-        """Judge one tick with these rows; return what is found: by fault and instance, whether it counts or not."""
+        """Check one tick with these rows. Return by fault and instance whether the finding counts."""
         self.set({**(rows or {}), **more})
         self.demanded, self.found = stages.find_faults(
             self.block, self.layout.places, self._read_only(), self.hand.places, self.layout.initial
@@ -144,36 +144,36 @@ class Monitor:
         return told
 
     def observe(self, rows: Rows | None = None) -> None:
-        """Turn what came into measurements, as a tick does before it judges; only then positions are screened."""
+        """Convert received values to measurements as a tick does before the detectors run, then screen positions."""
         self.set(rows or {})
         stages.observe_tick(self.block, self.layout.places, self._read_only(), self.hand.places)
 
     def remember(self, rows: Rows | None = None) -> None:
-        """Keep what this tick commanded, as a tick does at its end."""
+        """Store the commands of this tick, as the end of a tick does."""
         self.set(rows or {})
         stages.store_commands(self.block, self.layout.places, self._read_only(), self.hand.places)
 
     def judge(self, rows: Rows | None = None, reports: Iterable[Report] = ()) -> Verdict:
-        """Judge one tick to the end: with what is latched, and what buses and host report."""
+        """Check one tick completely: latched faults, and reports of buses and host included."""
         self.tick(rows)
         return self.conclude(self.demanded, reports)
 
     def conclude(self, demanded: int, reports: Iterable[Report]) -> Verdict:
-        """Latch what is found, take in reports, and choose the reaction."""
+        """Latch the findings, add the reports, and select the action."""
         fresh = faults_counting_since_now(self.limits, self.found, self.view("fault_ticks"))
         verdict = judge_tick(self.latched, self.counting, fresh, demanded, reports)
         self.latched, self.counting = verdict.latched, verdict.counting
         return verdict
 
     def clear(self) -> None:
-        """Let an operator clear what is latched."""
+        """Clear latched faults as an operator does."""
         decisions = Decisions((), None, self.latched, self.counting)  # type: ignore[arg-type]
         state = State(self.layout, self.block, decisions)
         clear_latched_faults(state)
         self.latched, self.counting = state.latched, state.decisions.counting
 
     def name(self, kind: str, i: int) -> str:
-        """Return the name of an instance; empty for one of a whole hand."""
+        """Return the name of an instance, or an empty text for a fault of the whole hand."""
         names = {TENDON: self.limits.tendons, MOTOR: self.limits.motors, JOINT: self.limits.joints}
         return {**names, NODE: (*self.limits.motors, LOAD_CELLS)}[kind][i] if kind in {*names, NODE} else ""
 
@@ -184,7 +184,7 @@ class Monitor:
 
 
 def _python(function: Any) -> Any:
-    """Return an inner function as Python can call it, with those that it calls itself."""
+    """Return an inner function that Python can call, together with the inner functions that it calls."""
     if not hasattr(function, "py_func"):
         return function
     code = function.py_func
@@ -194,6 +194,6 @@ def _python(function: Any) -> Any:
 
 
 def interpreted(function: Any, *arguments: Any) -> Any:
-    """Call an inner function interpreted; it may call others of its module."""
+    """Call an inner function without compilation. It may call other functions of its module."""
     with np.errstate(all="ignore"):
         return _python(function)(*arguments)

@@ -1,4 +1,4 @@
-"""A fault is added by its declaration and its detector, and by nothing else: done to a copy of the package."""
+"""A new fault needs only its declaration and its detector. The test adds one to a copy of the package."""
 
 import json
 import os
@@ -31,7 +31,7 @@ print(json.dumps({
 
 
 def added(package: Path) -> None:
-    """Add the fault of the page to a copy of the package, as the page says."""
+    """Add the fault of the how-to page to a copy of the package."""
     declaration, detector = re.findall(r"```python\n(.*?) *```", PAGE, re.DOTALL)
     kind = package / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""Questions that are still open: what is owed may come late, what is not is a duplicate."""
+"""Open requests: an outstanding reply may be late, and a reply without a request is a duplicate."""
 
 import pytest
 
@@ -11,7 +11,7 @@ Owed = tuple[tuple[int, ...], ...]
 
 
 class Questions(Monitor):
-    """Motors that owe answers to questions of some ticks."""
+    """Motors with outstanding replies to requests of earlier ticks."""
 
     def __init__(self, owed: Owed) -> None:
         super().__init__(made_up(len(owed)))
@@ -22,18 +22,18 @@ class Questions(Monitor):
 
     @property
     def owed(self) -> Owed:
-        """Open questions of each motor."""
+        """Return the number of open requests of each motor."""
         numbers, ticks = self.view("open_questions"), self.view("question").reshape(MAX_REQUESTS, -1)
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
     def ask(self, k: int, able: tuple[bool, ...] | None = None) -> None:
-        """Ask every motor one question more; those that are not able do not answer all."""
+        """Send one request to every motor. A motor that is not able may leave its request unanswered."""
         if able:
             self.set({"phase_before": [int(Phase.READY if one else Phase.READY - 1) for one in able]})
         interpreted(add_requests, self.state_tables, k)
 
     def answer(self, came: list[int]) -> list[int]:
-        """Take in so many answers of each motor; return the motors that answered too often."""
+        """Receive a number of replies from each motor. Return the motors that replied too often."""
         self.set({"answered": came})
         some = interpreted(close_answered_requests, self.state_tables, self.hand_tables)
         surplus = self.view("surplus")
@@ -85,7 +85,7 @@ def test_replies_match_requests_and_the_rest_is_excess(owed, came, after, too_ma
 
 @pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])
 def test_a_run_of_late_answers_is_paid_once_whenever_it_begins(ticks: int) -> None:
-    """Some ticks without an answer, then all at once: nothing is a duplicate; one more is."""
+    """After ticks without a reply, as many replies at once are no duplicate. One more reply is a duplicate."""
     questions = Questions(((),))
     for start in range(2 * WINDOW):
         questions.set({"open_questions": 0})

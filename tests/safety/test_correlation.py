@@ -1,4 +1,4 @@
-"""Torque reports that follow their command, and those that do not."""
+"""Correlation of torque reports with torque commands: drives that follow their command, and drives that do not."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ TICKS = 1000
 
 
 class Motors(Monitor):
-    """Motors that are commanded forces and report some, judged after each tick."""
+    """Motors with commanded and reported forces, checked after each tick."""
 
     def __init__(self, torque_step: float = 0.078) -> None:
         super().__init__(made_up(2), torque_step=torque_step)
@@ -18,13 +18,13 @@ class Motors(Monitor):
         """Motors that were ever said not to follow."""
 
     def step(self, force: np.ndarray, report: np.ndarray) -> None:
-        """Take in what the last tick commanded and what is reported now."""
+        """Process the command of the last tick and the present report."""
         self.unfollowed = self.tick(asked=force, measured_force=report).get("N17", {})
         self.doubted |= [name in self.unfollowed for name in self.limits.motors]
 
     @property
     def parts(self) -> list[float]:
-        """What part of the changes of each command is reported."""
+        """Return the fraction of each command change that is reported."""
         return [interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)]
 
 
@@ -36,7 +36,7 @@ def after(commanded: np.ndarray, reported: np.ndarray, torque_step: float = 0.07
 
 
 def noisy(seed: int, size: float = 0.1) -> np.ndarray:
-    """(TICKS, 2) commands of two motors that hold 90 N, rounded as a drive of twelve bits does [N]."""
+    """Return commands (TICKS, 2) [N] of two motors that hold 90 N, rounded to 12 bits as in a drive."""
     return 90.0 + size * np.random.default_rng(seed).standard_normal((TICKS, 2))
 
 
@@ -45,7 +45,7 @@ def rounded(force: np.ndarray) -> np.ndarray:
 
 
 def reports(commanded: np.ndarray, ticks: int = 1) -> np.ndarray:
-    """What drives report that obey so many ticks later, in the order in which a tick is given it."""
+    """Return the reports of drives that obey with a delay in ticks, in the order in which the ticks get them."""
     return rounded(np.roll(commanded, ticks, axis=0))
 
 
@@ -59,7 +59,7 @@ def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("fraction", [0.1, 0.2, 0.3, 0.5, 1.0])
 def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -> None:
-    """One count of an AK80-6 is 1.17 N at a spool of 5 mm: commissioning a hand of them ended with N17."""
+    """Regression: commissioning ended with N17. One count of an AK80-6 is 1.17 N at a spool of 5 mm."""
     step = 1.17
     commanded = 90.0 * (1.0 + 0.01 * np.random.default_rng(seed).random()) + fraction * step * (noisy(seed, 1.0) - 90.0)
     made = np.round(np.roll(commanded, 1, axis=0) / step) * step
@@ -101,7 +101,7 @@ def test_one_outlier_is_not_a_fault() -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("size", [0.02, 0.1, 1.0])
 def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> None:
-    """A busy machine reads every answer one tick later: a demo in real time ended with N17."""
+    """Regression: a demo in real time ended with N17, because a busy host read every reply one tick late."""
     commanded = noisy(seed, size)
     assert not doubted(commanded, reports(commanded, 2)).any()
 
@@ -122,7 +122,7 @@ def stalled(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def doubted(commanded: np.ndarray, made: np.ndarray) -> np.ndarray:
-    """(2,) whether a motor was ever said not to follow."""
+    """Return for both motors whether a tick reported that the motor does not follow."""
     return after(commanded, made).doubted
 
 

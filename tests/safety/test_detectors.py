@@ -1,4 +1,4 @@
-"""Causes of drives, limits, declarations that are made here and now; and the pages, word by word."""
+"""Causes from drives, limits, faults declared in a test, and the generated pages."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Several faults, in sequences: the largest action wins, latches outlive everything, more trouble is never less."""
+"""Several faults: the largest action wins, latched faults stay, and further faults never reduce the action."""
 
 from itertools import pairwise
 
@@ -40,7 +40,7 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
 
 @pytest.mark.parametrize(("first", "second"), [*PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")])
 def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str) -> None:
-    """One comes and goes, then the other: what latched is still there, and the second is told though."""
+    """One fault comes and goes before the other. The first stays latched, and the second is still reported."""
     a, b = CASES[first], CASES[second]
     monitor, first_verdicts = course(*[a.present] * a.debounce, REST)
     _, verdicts = course(*[b.present] * b.debounce, monitor=monitor)
@@ -90,7 +90,7 @@ course_of_faults = st.lists(st.tuples(faulty, several, st.booleans()), max_size=
 
 @given(course_of_faults)
 def test_more_trouble_is_never_less_action(ticks: list[tuple[Shown, list[str], bool]]) -> None:
-    """Two runs, one with additional faults in some ticks, cleared at the same times."""
+    """Compare two runs with the same clear requests. One of them has additional faults in some ticks."""
     less, more = rested(), rested()
     for shown, extra, cleared in ticks:
         if cleared:

@@ -1,4 +1,4 @@
-"""What is counted over time, steps that cannot be, and readings that stand; each rule from both sides."""
+"""Lost frames, position jumps and stuck readings: each rule just below and just above its limit."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +18,7 @@ NAN = np.nan
 
 
 def bits(text: str) -> int:
-    """Newest last, as one writes it."""
+    """Return the bits of a text whose last character is the newest."""
     return int(text, 2)
 
 
@@ -28,7 +28,7 @@ def words(window: int) -> tuple[int, int]:
 
 
 class Window(Monitor):
-    """A motor and its load cell, of which losses are counted."""
+    """A motor and its load cell, with a window of their lost frames."""
 
     def __init__(self, motor: int = 0, cells: int = 0, **constants: Any) -> None:
         super().__init__(made_up(1), **constants)
@@ -36,13 +36,13 @@ class Window(Monitor):
         self.set({"lost": {(half, node): pair[half] for node, pair in enumerate(pairs) for half in (0, 1)}})
 
     def count(self, motor: bool = False, cells: bool = False, **rows: Any) -> tuple[int, int]:
-        """Take in one tick, in which these are late; return the windows of losses."""
+        """Process one tick in which these nodes are late. Return the windows of losses."""
         self.tick({"feedback_ns": NOW_NS - motor * PERIOD_NS, "group_ns": NOW_NS - cells * PERIOD_NS}, **rows)
         return self.windows
 
     @property
     def windows(self) -> tuple[int, int]:
-        """Losses of motor and load cells, a bit each tick."""
+        """Return the losses of motor and load cells, one bit per tick."""
         lost = self.view("lost")
         return tuple(int(lost[1, node]) << losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1))  # type: ignore
 
@@ -97,7 +97,7 @@ def test_unknown_frames_leak_away_in_a_second():
 
 
 def refusing(rate: float) -> Any:
-    """Return a function that counts refused goals of a tick; it returns the ticks of those that are remembered."""
+    """Return a function that counts the refused targets of a tick. It returns the ticks of the stored refusals."""
     window = Window()
     state = State(window.layout, window.block, Decisions((), None))  # type: ignore[arg-type]
     controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / rate))
@@ -130,14 +130,14 @@ def test_lost_and_misshapen_are_counted_apart():
 
 
 class Positions(Monitor):
-    """Motors whose positions are screened; what they may step by in a period [rad]."""
+    """Motors with screened positions, and their largest permitted step in a period [rad]."""
 
     def __init__(self, limits: list[float], **before: list[float]) -> None:
         super().__init__(made_up(len(limits)), step_limit=limits)
         self.set(before)
 
     def screen(self, value: list[float], missed: int = 0) -> list[float]:
-        """Take in positions, NaN where none came; return how far each jumped."""
+        """Process positions, NaN where missing. Return the size of the jump of each."""
         given = np.array(value)
         self.observe({"answered": ~np.isnan(given), "position": given, "missed": missed})
         return self.get("jump")
@@ -195,7 +195,7 @@ def test_readings_that_are_dropped_in_a_row_are_counted_and_a_missing_one_is_non
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
 def test_allowed_step_grows_over_skipped_ticks(missed, steps, told):
-    """Two positions alike, or one that was read and one that was not."""
+    """Check two equal positions, and one position that was read beside one that was not."""
     for other in (0.0, NAN):
         positions, at, seen = Positions([1.0] * 2, accepted=[0.0, other]), 0.0, []
         for k, step in enumerate(steps):
@@ -211,7 +211,7 @@ def test_a_reading_that_is_missing_after_skipped_ticks_may_be_further_off_by_the
 
 
 def stand(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[int, float, float]:
-    """Take in an encoder's reading and its witnesses; return how long it stands, and how far they went meanwhile."""
+    """Add a reading of an encoder. Return the ticks without a change, and the motion of target and tension since."""
     rows: Rows = {"measured_travel": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
@@ -220,7 +220,7 @@ def stand(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[
 
 
 def walk(values, witnesses):
-    """Ticks, and how far each witness is away, after each tick."""
+    """Return the ticks and the distance of each correlated signal after each tick."""
     monitor = Monitor(made_up(1), residual_fraction=0.0)
     return monitor, [stand(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)]
 
@@ -244,7 +244,7 @@ def test_missing_reference_is_used_once_it_is_read():
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
-    """A goal that is where the digit is leaps with it: no motor had to follow that."""
+    """A target that is reset to the measured position jumps, and no motor has to follow this jump."""
     monitor = Monitor(made_up(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],

@@ -1,4 +1,4 @@
-"""Load-cell readings that were there before, and tensions that swing: found where they are, silent where not."""
+"""Repeated load-cell readings and oscillating tensions: detected when present, and no false alarm otherwise."""
 
 import math
 import os
@@ -27,7 +27,7 @@ def readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarray:
 
 
 def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
-    """Return the first tick in which something is found, and what; -1 if nothing ever is."""
+    """Return the first tick with a finding and the finding, or -1 without a finding."""
     monitor = Monitor(made_up(rows.shape[1]))
     for k, row in enumerate(rows):
         if found := monitor.tick(measured_tension=row).get("T05b"):
@@ -49,13 +49,13 @@ def test_content_of_some_ticks_ago_is_found_within_sixteen(seed: int, age: int) 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.05, 0.1, 0.5, 1.5])
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 4))
 def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise: float) -> None:
-    """Also of a cell that stands, or toggles between two counts."""
+    """Include a load cell that is constant or toggles between two counts."""
     assert first_found(readings(seed, 20_000 if NIGHTLY else 3_000, noise)) == (-1, [])
 
 
 @pytest.mark.parametrize("cycle", [[3.0], [3.0, 2.9375], [2.9375, 3.0, 3.0], [3.0, 3.0625, 3.0, 2.9375, 3.0]])
 def test_limit_cycle_of_a_few_counts_is_no_repetition(cycle: list[float]) -> None:
-    """Without noise a tension loop of coarse load cells comes to a limit cycle, as commissioning at rest did."""
+    """Without noise, a tension loop with coarse load cells has a limit cycle. Commissioning at rest once had it."""
     assert first_found(np.array([[cycle[k % len(cycle)]] for k in range(500)])) == (-1, [])
 
 
@@ -66,7 +66,7 @@ def test_a_missing_reading_equals_nothing() -> None:
 
 
 def swung(deviation: np.ndarray, period: float) -> tuple[float, float]:
-    """Return when [s] a deviation [N] counts as a swing, -1 if never, and its RMS then [N]."""
+    """Return the time [s] at which a deviation [N] counts as an oscillation, -1 if never, and its RMS then [N]."""
     monitor = Monitor(made_up(2), period=period)
     for k, value in enumerate(deviation):
         if found := monitor.tick(measured_tension=[value, 0.0], wanted=0.0).get("N14b"):

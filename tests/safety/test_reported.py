@@ -33,7 +33,7 @@ def test_alone_on_the_bus_is_one_reading_of_error_frames_that_mean_it() -> None:
 
 
 def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> None:
-    """B18 counts before arming only: a bus on which somebody has answered is not a bus without others."""
+    """B18 counts only before arming. A reply proves that the bus has other nodes."""
     unheard = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):
         one = ("error_frame", f"can0 {word}", 1.0)

@@ -1,4 +1,4 @@
-"""What is left of a tendon's tension when torque, inertia and friction are taken off, against cases made by hand."""
+"""Residual of a tension after torque, inertia and friction, compared with cases computed by hand."""
 
 from collections.abc import Callable
 from statistics import NormalDist
@@ -34,7 +34,7 @@ class Rotor(Monitor):
         self.set({"residual": 0.0, **rows})
 
     def step(self, tension: float, force: float, speed: float = 0.0, asked: float | None = None) -> None:
-        """Take in one tick."""
+        """Process one tick."""
         commanded = force if asked is None else asked
         self.tick(speed=speed, measured_tension=tension, measured_force=force, asked=commanded)
 
@@ -44,12 +44,12 @@ class Rotor(Monitor):
 
     @property
     def unexplained(self) -> float:
-        """Tension that nothing explains [N]."""
+        """Return the unexplained tension [N]."""
         return float(interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0))
 
     @property
     def friction(self) -> float:
-        """Friction beyond the modelled [N]."""
+        """Return the friction above the modelled friction [N]."""
         return float(interpreted(residuals.excess_friction, self.state_tables, 0))
 
 
@@ -57,7 +57,7 @@ def filtered(
     seconds: float, tension: Course, force: Course, speed: Course = lambda t: 0.0, asked: Course | None = None,
     noise: float = 0.5,
 ) -> Rotor:  # fmt: skip
-    """A tendon's residuals after some time."""
+    """Return the residuals of a tendon after some time."""
     rotor = Rotor()
     for k in range(round(seconds / T)):
         t = k * T
@@ -73,7 +73,7 @@ def test_a_tendon_at_rest_leaves_no_residual(held):
 
 
 def test_inertia_friction_and_damping_are_explained():
-    """A rotor that swings by 10 mm/s twice a second, with the friction that the hand file says."""
+    """The rotor oscillates by 10 mm/s at 2 Hz, with the friction of the hand file."""
     w, a = 2 * np.pi * 2.0, 0.01
 
     def speed(t):
@@ -88,7 +88,7 @@ def test_inertia_friction_and_damping_are_explained():
 
 
 def test_acceleration_torque_is_no_residual():
-    """Ten metres a second squared for a tenth of a second: 52 N that the rope does not get."""
+    """Accelerate at 10 m/s2 for 0.1 s. The rotor takes 52 N of the motor force."""
 
     def force(t):
         speed = 10.0 * t
@@ -112,7 +112,7 @@ def test_a_torque_constant_within_its_tolerance_is_no_fault():
 
 
 def test_friction_that_has_grown_is_seen_in_motion_only():
-    """T09: a motor that needs 8 N more than the file says, turning to and fro for fifteen seconds."""
+    """T09: a motor that moves to and fro for 15 s needs 8 N more than the hand file states."""
     w, a = 2 * np.pi, 0.02
 
     def speed(t):
@@ -128,7 +128,7 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
 
 
 def test_missing_torque_is_detected():
-    """A motor that lets 24 N go is asked for some 39 N; to be seen within 22 ticks, its way included."""
+    """A missing force of 39 N exceeds the limit after 20 ticks, and 14.9 N stay below it."""
     state = filtered(20 * T, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 39.0)
     assert state.low(COMMAND_DIFFERENCE) > NOT_OBEYED_N
     state = filtered(0.5, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 14.9)
@@ -136,7 +136,7 @@ def test_missing_torque_is_detected():
 
 
 def test_noise_raises_nothing_in_ten_thousand_hours():
-    """A load cell of three times the noise, hand at rest: what the filter leaves of it, against the warnings."""
+    """Compare filtered noise of a hand at rest, at three times the load-cell noise, with the warning limits."""
     left = np.array([filtered(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).low(BALANCE) for _ in range(40)])
     chance = 1.0 / (10_000.0 * 3600.0 / T)
     rare = NormalDist(sigma=float(left.std())).inv_cdf(1.0 - chance / 2.0)

@@ -1,4 +1,4 @@
-"""Rows at their very limits, and what they say of a fault besides that there is one."""
+"""Rows exactly at their limits, and the text that they give beside the fault."""
 
 import math
 
@@ -14,7 +14,7 @@ UNREAD = tensions(**dict.fromkeys(LIMITS.tendons, NAN))
 
 
 def readings(id_: str, shown: Shown) -> list[tuple[str, float]]:
-    """What a row finds in one tick."""
+    """Return the finding of a row in one tick."""
     monitor = rested()
     return list(monitor.tick(show(monitor, shown)).get(id_, {}).items())
 

@@ -1,4 +1,4 @@
-"""Tendons: taut, slack, snapped, and still pulled after the cut; each number of the rules from both sides."""
+"""Tendons that are taut, slack, snapped, or still pulled after a cut: each rule just below and above its limit."""
 
 import math
 from typing import Any
@@ -17,19 +17,19 @@ Values = list[float]
 
 
 class Tendons(Monitor):
-    """Some tendons whose filtered tension is what is set."""
+    """Tendons whose filtered tension a test sets."""
 
     def __init__(self, count: int, **rows: Any) -> None:
         super().__init__(made_up(count), residual_fraction=0.0)
         self.set(rows)
 
     def step(self, tension: Values, wanted: Values, **rows: Any) -> list[tuple[int, int]]:
-        """Take in a filtered tension and what is commanded; return since when each was taut, and is slack [ticks]."""
+        """Process tensions and commands. Return for each tendon the ticks since it was taut, and the ticks of slack."""
         self.told = self.tick(residual={TENSION: tension}, wanted=wanted, **rows)
         return list(zip(self.get("taut_ago"), self.get("slack_ticks"), strict=True))
 
     def cut(self, tension: Values, **rows: Any) -> dict[str, float]:
-        """Take in load cells after the torque was cut; return the tendons that are still pulled."""
+        """Process load cells after the torque was cut. Return the tendons that are still pulled."""
         return self.tick(measured_tension=tension, mode=int(Mode.CUT), **rows).get("N16", {})
 
 
@@ -90,7 +90,7 @@ def test_slack_is_reported_by_name_and_in_seconds():
     (0, 0.0, 24.0, NAN, False),
 ])  # fmt: skip
 def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
-    """The filtered tension lies between slack and taut, so that the tick counts on; the other one runs, and is taut."""
+    """One filtered tension lies between slack and taut, so its count of ticks goes on. The other tendon is taut."""
     tendons = Tendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
     taut = 20.0 if ago == 0 else 2.2
     tendons.step([20.0, taut], [24.0, goal], measured_tension=[20.0, cell], speed=[0.05, speed])
@@ -148,7 +148,7 @@ def test_a_tendon_of_which_nothing_was_known_at_the_cut_counts_from_its_first_re
     (50, NAN, 30.0, False),           # read for the first time in this tick, or never
 ])  # fmt: skip
 def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
-    """Of what was never read before, this tick's reading becomes the one to compare with, and is not below it."""
+    """The first reading of a tendon becomes its reference, so it is not below the reference."""
     tendons = Tendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
     told = tendons.cut([0.0, now])
     if math.isnan(before):
@@ -159,7 +159,7 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, foun
 
 
 def test_the_last_tension_counts_if_the_latest_sample_is_missing():
-    """From 80 ms after the cut on: what it bore before that says nothing of whether it was let go."""
+    """The check starts 80 ms after the cut. Readings from before do not show whether the motor let go."""
     tendons = Tendons(2)
     for k in range(50):
         tendons.cut([30.0 if k < 40 else NAN, 30.0 if k < 41 else NAN])

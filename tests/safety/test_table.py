@@ -1,4 +1,4 @@
-"""Every row of the fault table: when it counts, when it just does not, what it demands, and who may end it."""
+"""Every row of the fault table: its limit from both sides, its action, and who may clear it."""
 
 import math
 import re
@@ -34,7 +34,7 @@ SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 
 
 def course(*ticks: Shown, monitor: Monitor | None = None) -> tuple[Monitor, list[Verdict]]:
-    """Judge ticks one after the other."""
+    """Check ticks one after the other."""
     monitor = monitor or rested()
     return monitor, [monitor.judge(show(monitor, shown), shown.reports) for shown in ticks]
 
@@ -42,7 +42,7 @@ def course(*ticks: Shown, monitor: Monitor | None = None) -> tuple[Monitor, list
 def alone(
     id_: str, *ticks: Shown, monitor: Monitor | None = None
 ) -> tuple[Monitor, list[Action], list[tuple[str, str]]]:
-    """Judge ticks; return what one fault alone demands in each, and where it began to count."""
+    """Check ticks. Return the action of one fault in each tick, and the tick from which it counts."""
     monitor, actions, told = monitor or rested(), [], []
     for shown in ticks:
         verdict = monitor.judge(show(monitor, shown), shown.reports)
@@ -189,7 +189,7 @@ def test_times_as_ticks(seconds: float, period: float, least: int, ticks: int) -
 
 
 def trace(id_: str) -> list[tuple[Action, int]]:
-    """Actions and number of findings of one fault over its onset and its end, debounced by interpreted code."""
+    """Return actions and number of findings of one fault over its onset and end, debounced by interpreted code."""
     case, monitor, seen = CASES[id_], rested(), []
     kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_}
     for shown in [case.almost, *[case.present] * (case.debounce + 1), REST]:
@@ -206,7 +206,7 @@ def trace(id_: str) -> list[tuple[Action, int]]:
 
 @pytest.fixture
 def declared(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
-    """Declare a fault otherwise than it is."""
+    """Declare a fault with changed properties."""
 
     def declare(other: Fault) -> None:
         found = tuple((other if fault.id == other.id else fault, kind) for fault, kind in DETECTOR_ROWS)
@@ -227,7 +227,7 @@ def declared(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("id_", CASES)
 def test_a_changed_row_would_be_noticed(id_: str, declared) -> None:
-    """Each number and word of a row, one step away, gives another course: the cases above can fail."""
+    """Change each number and word of a row by one step: the result differs, so the cases can fail."""
     fault = BY_ID[id_]
     other = ITSELF if fault.latched else OPERATOR
     changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]

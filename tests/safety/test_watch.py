@@ -1,4 +1,4 @@
-"""What the monitor remembers between ticks, on two made-up tendons: every fault from both sides of its limit."""
+"""State of the monitor between ticks, on two synthetic tendons: each fault just below and above its limit."""
 
 from dataclasses import replace
 from typing import Any
@@ -29,7 +29,7 @@ Evidence = dict[str, dict[str, float]]
 
 
 def made(stiffness: float = 1e5, motor_period: Any = T, joint_period: float = T) -> Monitor:
-    """A hand of two tendons of a stiffness [N/m], whose motors and joints are read so often [s]; 20 N are wanted."""
+    """Return a monitor of two tendons with a stiffness [N/m] and sampling periods of motors and joints [s]."""
     arms = np.array([0.02, 0.01])
     monitor = Monitor(
         LIMITS, motor_period, joint_period, stiffness=stiffness, arms_sum=arms, excursion_to_joints=np.diag(1.0 / arms),
@@ -45,21 +45,21 @@ NAMES = {"tension": "measured_tension", "travel": "measured_travel", "position":
 
 
 def seen(**given: Any) -> dict[str, Any]:
-    """A tick of two tendons at rest under 20 N, some of it otherwise; a number stands for both."""
+    """Return a tick of two tendons at rest under 20 N with some changes. A single number is for both tendons."""
     facts = {"tension": 20.0, "travel": 0.0, "position": 0.0, "speed": 0.0, "force": 20.0, "excursion": N, "joints": N,
              "read": False}  # fmt: skip
     return {NAMES[name]: value for name, value in (facts | given).items()}
 
 
 def wanting(monitor: Monitor | None = None, **given: Any) -> Monitor:
-    """A hand of which 20 N are wanted and asked for, and nothing moves."""
+    """Return a hand at rest whose commanded and planned tensions are 20 N."""
     monitor = monitor or made()
     monitor.set({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | given)
     return monitor
 
 
 def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Monitor, Evidence]:
-    """The same tick several times; values that are functions get its number."""
+    """Return the same tick several times. Values that are functions get the number of the tick."""
     monitor, found = monitor or wanting(), {}
     for k in range(number):
         found = monitor.tick(seen(**{name: v(k) if callable(v) else v for name, v in given.items()}))
@@ -74,7 +74,7 @@ def test_at_rest_nothing_is_reported():
 
 
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
-    """What is filtered begins at what is there: tension and force have not moved, so that nothing needs to."""
+    """Filters start at the present values. Tension and force have not moved, so no reading needs to move."""
     _, found = ticks(200, wanting(wanted=N, followed=N, asked=N))
     assert found == {}
 
@@ -123,7 +123,7 @@ def unexplained(monitor: Monitor) -> list[float]:
 
 @pytest.mark.parametrize(("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)])
 def test_lasting_residual_is_a_fault(tension, residual):
-    """Of what the torque does not explain, 3 N are friction, and a tenth of 20 N the torque constant's tolerance."""
+    """Of the residual, friction explains 3 N, and the tolerance of the torque constant a tenth of 20 N."""
     monitor, found = ticks(1200, tension=tension)
     assert unexplained(monitor) == pytest.approx([residual] * 2, abs=0.05)
     told = {name: pytest.approx(residual, abs=0.05) for name in "ab"}
@@ -138,7 +138,7 @@ def test_missing_torque_is_a_fault(force, told):
 
 @pytest.mark.parametrize(("rub", "told"), [(5.8, False), (6.1, True)])
 def test_friction_above_the_hand_file_is_a_fault(rub, told):
-    """After many seconds of motion: a tenth of 29 N is the torque constant's tolerance; then 3 N are told."""
+    """After many seconds of motion, 3 N count in excess of the torque constant's tolerance, a tenth of 29 N."""
     monitor = ticks(30)[0]
     monitor.set({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
     _, found = ticks(1, monitor, force=29.0, tension=29.0)
@@ -148,7 +148,7 @@ def test_friction_above_the_hand_file_is_a_fault(rub, told):
 
 
 def test_a_noisy_encoder_is_detected():
-    """Mean squared jerk of a position that goes to and fro by d each tick: 16 d^2."""
+    """The mean squared jerk of a position that alternates by d in each tick is 16 d^2."""
     for size, told in ((2.4e-3, {}), (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02)))):
         _, found = ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
         assert found.get("N07", {}) == told
@@ -165,7 +165,7 @@ def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
 
 
 def test_joint_and_spool_are_compared_from_when_the_tendon_is_taut():
-    """The arms of tendon a are 20 mm together, so that 3 deg are 1.05 mm. Without filter, 15 deg are a fault."""
+    """The moment arms of tendon a have a sum of 20 mm, so 3 deg are 1.05 mm. Without the filter, 15 deg are a fault."""
 
     def slipped(deg):
         monitor, _ = ticks(100, excursion=0.0, read=True)
@@ -201,7 +201,7 @@ EVERY = 4
 
 
 def sparse(number: int, monitor: Monitor, **given: Any) -> list[Evidence]:
-    """Ticks of a hand whose joints are read in every fourth, and all that they told."""
+    """Return the ticks of a hand whose joints are read in every fourth tick, and all reports."""
     told = []
     for k in range(number):
         read = {"read": True} | given if k % EVERY == 0 else {n: v for n, v in given.items() if n == "travel"}
@@ -259,7 +259,7 @@ def test_a_joint_or_a_motor_that_stands_is_reported_after_the_same_time_however_
 
 
 def just_moved(monitor: Monitor | None = None, **given: Any) -> Monitor:
-    """A hand in which all filters have settled, and motors have moved in the last tick."""
+    """Return a hand whose filters have settled and whose motors moved in the last tick."""
     return ticks(1, ticks(150, wanting(monitor), **given)[0], **{"travel": 1e-5} | given)[0]
 
 
@@ -291,7 +291,7 @@ def test_constant_joint_reading_is_stuck_while_the_spool_turns():
 
 
 def test_a_spool_that_turns_while_its_tendon_is_slack_says_nothing_of_a_joint():
-    """Slack is wound up; from where the tendon bears on, joint and spool move together."""
+    """The spool winds slack. Joint and spool move together only after the tendon is taut."""
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
 
     def stuck(found: Evidence) -> list[str]:
@@ -315,7 +315,7 @@ def test_a_tendon_bears_until_it_is_slack(tension, told):
 
 
 def test_each_joint_has_its_own_tendons_as_witnesses():
-    """Joint b does not care that tendon a is slack."""
+    """A slack tendon a has no effect on the check of joint b."""
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
@@ -356,7 +356,7 @@ def test_an_even_motion_is_no_noise_and_no_force_because_ticks_were_skipped(late
 
 
 def screened(monitor: Monitor, motors: list[float], joints: list[float] | None, missed: int = 0) -> tuple[Any, Any]:
-    """Take in positions; joints None if none was read. Return how far each jumped."""
+    """Process positions, with joints None if none was read. Return the size of each jump."""
     read = {"joint_fresh": joints is not None, "joint_angle": joints or 0.0}
     monitor.observe({"answered": 1, "position": motors, "missed": missed, **read})
     return monitor.get("jump"), monitor.get("joint_jump")
@@ -391,7 +391,7 @@ def test_after_missed_ticks_motors_and_joints_may_have_gone_so_much_further():
 
 
 def late(**ages: int) -> dict[str, Any]:
-    """Rows of motors (ma=...) and load cells (a=...) whose answers are so many ticks old."""
+    """Return rows of motors (ma=...) and load cells (a=...) whose replies have an age in ticks."""
     heard = {name: NOW_NS - ages.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
     return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}
 

@@ -1,4 +1,4 @@
-"""What the monitor remembers, at its very limits: they are judged as they are written, to the last bit."""
+"""State of the monitor exactly at the limits, to the last bit."""
 
 import math
 from typing import Any
@@ -22,7 +22,7 @@ READ = {"excursion": 0.0, "joints": 0.0, "read": True}
 
 @pytest.fixture
 def monitor() -> Monitor:
-    """Two tendons whose filtered tension and force are what is set."""
+    """Return a monitor of two tendons whose filtered tension and force a test sets."""
     monitor = made(SOFT)
     monitor.set_constants(residual_fraction=0.0)
     monitor.set({"filtered": 1, "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}})
@@ -35,7 +35,7 @@ def turned(monitor: Monitor, **given: Any) -> list[float]:
 
 
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None:
-    """The spool winds as far as the tendon gives way under a tension that has grown."""
+    """The spool winds by the stretch of the tendon when the tension grows."""
     np.testing.assert_allclose(turned(monitor, travel=20.0 / SOFT, **READ), 0.0, atol=1e-12)
     wound = turned(monitor, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ)
     np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
@@ -62,7 +62,7 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(monitor:
 
 
 def names(monitor: Monitor, before: int, value: float, away: dict[str, list[float]]) -> dict[str, list[str]]:
-    """Who is stuck after one tick more of the same readings, while witnesses are so far from where they were."""
+    """Return the stuck sensors after one more equal reading, with given motion of the correlated signals."""
     zero = [0.0, 0.0]
     found = monitor.tick(
         seen(tension=value, **READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
@@ -107,7 +107,7 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
 
 
 def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(monitor: Monitor) -> None:
-    """Interpreted, where excursions can be found whose angle is the limit to the last bit."""
+    """Run interpreted code, with excursions whose angle equals the limit to the last bit."""
 
     def counted(apart: float) -> tuple[float, float]:
         monitor.set(seen(**READ | {"tension": 0.0, "excursion": -apart}))
