@@ -60,24 +60,24 @@ JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_pr
 FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
-def measured(text: str) -> str:
+def text_with_all_values(text: str) -> str:
     """Return the text of a file after every missing value was added."""
     return re.sub(r'^(\w+) = "TODO".*$', lambda line: f"{line[1]} = {MEASURED[line[1]]}", text, flags=re.MULTILINE)
 
 
-def imported(form: str, path: Path | str, *words: str) -> str:
+def import_description(form: str, path: Path | str, *words: str) -> str:
     """Return the text of mine.toml, imported from a description."""
     Path("mine.toml").unlink(missing_ok=True)
     assert main(["config", "init", "--yes", form, str(path), *words, "--output", "mine.toml"]) == 0
     return Path("mine.toml").read_text()
 
 
-def completed(form: str, name: str) -> Hand:
+def reimport_packaged_hand(form: str, name: str) -> Hand:
     """Export a packaged hand, import it, and give it the tendons, springs and buses of the packaged hand."""
     exported = Path(FORMS[form])
     exported.unlink(missing_ok=True)
     assert main(["config", "export", form, "--hand", name, "--output", str(exported)]) == 0
-    imported(form, exported)
+    import_description(form, exported)
     original = with_meshes_from(load_hand(name).content, hand_path(name).parent)
     digits = []
     for digit, known in zip(hand_content("mine.toml")["digit"], original["digit"], strict=True):
@@ -92,7 +92,7 @@ def completed(form: str, name: str) -> Hand:
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", packaged_hands())
 def test_an_exported_hand_comes_back(place: Path, name: str, form: str) -> None:
-    hand, original = completed(form, name), load_hand(name)
+    hand, original = reimport_packaged_hand(form, name), load_hand(name)
     assert hand.digit_names == original.digit_names
     for digit, known in zip(hand.digit, original.digit, strict=True):
         assert digit.mount_on == known.mount_on
@@ -118,7 +118,7 @@ def test_an_exported_hand_comes_back(place: Path, name: str, form: str) -> None:
 
 def test_moment_arms_and_springs_of_a_model_come_with_it(place: Path) -> None:
     assert main(["config", "export", "--mjcf", "--hand", "n_plus_1", "--output", "hand.xml"]) == 0
-    imported("--mjcf", "hand.xml")
+    import_description("--mjcf", "hand.xml")
     content = hand_content("mine.toml")
     known = load_hand("n_plus_1")
     assert [tendon["name"] for tendon in content["tendon"]] == list(known.tendon_names)
@@ -129,7 +129,7 @@ def test_moment_arms_and_springs_of_a_model_come_with_it(place: Path) -> None:
 
 
 def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None:
-    Path("full.toml").write_text(measured(imported("--urdf", TRIPOD, *ANSWERS)))
+    Path("full.toml").write_text(text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS)))
     tree = HandTree.of(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD))
     data = model.createData()
@@ -150,14 +150,14 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None
 
 
 def test_each_missing_value_is_refused_until_it_is_given(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = imported("--urdf", TRIPOD, *ANSWERS)
+    text = import_description("--urdf", TRIPOD, *ANSWERS)
     capsys.readouterr()
     lines = refused_lines(capsys, "config", "check", "--hand", "mine.toml")
     keys = [re.search(r'([a-z]\w+): "TODO"; expected', line) for line in lines]
     assert all(keys)
     assert sorted(key[1] for key in keys if key) == sorted(MEASURED), "one line for each value"
     assert all("# TODO" in line for line in text.splitlines() if '"TODO"' in line)
-    full = measured(text)
+    full = text_with_all_values(text)
     for key, value in MEASURED.items():
         Path("mine.toml").write_text(full.replace(f"{key} = {value}\n", f'{key} = "TODO"\n'))
         assert all(f"{key}: " in line for line in refused_lines(capsys, "config", "check", "--hand", "mine.toml"))
@@ -166,7 +166,7 @@ def test_each_missing_value_is_refused_until_it_is_given(place: Path, capsys: py
 
 
 def test_no_run_begins_with_a_missing_value(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    imported("--urdf", TRIPOD)
+    import_description("--urdf", TRIPOD)
     capsys.readouterr()
     assert '"TODO"; expected' in refused(capsys, "demo", "--lockstep", "--hand", "mine.toml")
 
@@ -265,9 +265,9 @@ def test_without_mujoco_the_extra_is_named(
 @pytest.mark.parametrize(("form", "name"), [("--mjcf", "t42"), ("--urdf", "jamia"), ("--mjcf", "orca_like"), ("", "")])
 def test_an_imported_hand_grasps(place: Path, capsys: pytest.CaptureFixture[str], form: str, name: str) -> None:
     if name:
-        completed(form, name)
+        reimport_packaged_hand(form, name)
     else:
-        Path("mine.toml").write_text(measured(imported("--urdf", TRIPOD, *ANSWERS)))
+        Path("mine.toml").write_text(text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS)))
     capsys.readouterr()
     code = main(["demo", "--lockstep", "--hand", "mine.toml", "--log", "run.mcap", "--json"])
     out, err = capsys.readouterr()

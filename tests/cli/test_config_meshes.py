@@ -46,7 +46,7 @@ def own(place: Path) -> Path:
     return place / "mine" / "hand.toml"
 
 
-def changed(path: Path, old: str, new: str) -> None:
+def replace_once(path: Path, old: str, new: str) -> None:
     """Replace a part of a file that occurs once."""
     text = path.read_text()
     assert text.count(old) == 1
@@ -196,7 +196,7 @@ def test_exported_meshes_come_back_to_their_places(
     assert_same_places(corners_of_hand(again, place / "mine", q), expected)
 
 
-def stranger_in(place: Path) -> Path:
+def write_ros_package(place: Path) -> Path:
     """Write a hand as a ROS package with meshes, and return its URDF."""
     folder = place / "ws" / "gripper"
     (folder / "urdf").mkdir(parents=True)
@@ -209,7 +209,7 @@ def stranger_in(place: Path) -> Path:
 def test_meshes_of_a_package_are_taken_over(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    urdf = stranger_in(place)
+    urdf = write_ros_package(place)
     assert main(["config", "init", "--yes", "--urdf", str(urdf), "--output", "mine.toml"]) == 0
     assert "mesh" not in capsys.readouterr().out
     described, notes = read_described(urdf, "urdf", place)
@@ -252,7 +252,7 @@ def test_meshes_of_a_package_are_taken_over(
 def test_meshes_that_a_hand_cannot_have_are_told(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    urdf = stranger_in(place)
+    urdf = write_ros_package(place)
     meshes = urdf.parents[1] / "meshes"
     (meshes / "base.stl").write_text("solid base\n" * 20)
     (meshes / "proximal.stl").unlink()

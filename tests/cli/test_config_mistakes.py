@@ -113,7 +113,7 @@ MISTAKES = {
 """Text of jamia11, what a person wrote instead, and the beginning of the line."""
 
 
-def spoilt(place: Path, *edits: tuple[str, str]) -> None:
+def write_changed_jamia11(place: Path, *edits: tuple[str, str]) -> None:
     """Write mine.toml: jamia11 with texts replaced."""
     text = hand_path("jamia11").read_text("utf-8")
     for old, new in edits:
@@ -122,7 +122,7 @@ def spoilt(place: Path, *edits: tuple[str, str]) -> None:
     (place / "mine.toml").write_text(text)
 
 
-def lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
+def error_lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
     """Return the error lines of `config check` without the name of the file."""
     assert main(["config", "check", "--hand", "mine.toml", *words]) == 2
     out, err = capsys.readouterr()
@@ -133,8 +133,8 @@ def lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
 @pytest.mark.parametrize("case", MISTAKES)
 def test_a_mistake_is_one_line_that_names_the_key(place: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
     old, new, start = MISTAKES[case]
-    spoilt(place, (old, new))
-    found = lines(capsys)
+    write_changed_jamia11(place, (old, new))
+    found = error_lines(capsys)
     assert found[0].startswith(start)
     assert len(found) == 1, found
     assert all("expected" in line for line in found)
@@ -142,19 +142,23 @@ def test_a_mistake_is_one_line_that_names_the_key(place: Path, capsys: pytest.Ca
 
 def test_all_mistakes_come_at_once(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cases = ("a misspelt key of a default", "a default of an unknown section", "a template that is not there")
-    spoilt(place, *[MISTAKES[case][:2] for case in cases], ("m2.node_id = 5", "m2.node_id = 500"))
-    found = lines(capsys)
+    write_changed_jamia11(
+        place, *[MISTAKES[case][:2] for case in cases], ("m2.node_id = 5", "m2.node_id = 500")
+    )
+    found = error_lines(capsys)
     starts = [MISTAKES[case][2] for case in cases] + ["digit[middle].motor.m2.node_id: 500"]
     for start in starts:
         assert len([line for line in found if line.startswith(start)]) == 1, start
 
 
 def test_mistakes_of_the_files_beside_the_hand_come_too(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    spoilt(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
+    write_changed_jamia11(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
     (place / "task.toml").write_text(
         'schema = 1\nname = "t"\n[[phase]]\nkind = "hold"\ntension_N = 40.0\nslip_limit_N = 30.0\n'
     )
-    found = lines(capsys, "--task", "task.toml", "--gain", "motion.force_N=-1", "--calibration", "no.toml")
+    found = error_lines(
+        capsys, "--task", "task.toml", "--gain", "motion.force_N=-1", "--calibration", "no.toml"
+    )
     starts = ("bus[main].bitrate: 8000000", "task.toml: phase[0].slip_limit_N: 30; expected at least tension_N of")
     for start in (*starts, "--gain: motion.force_N", "no.toml: no such file"):
         assert len([line for line in found if line.startswith(start)]) == 1, found
@@ -162,14 +166,18 @@ def test_mistakes_of_the_files_beside_the_hand_come_too(place: Path, capsys: pyt
 
 def test_what_several_sections_have_in_common_is_one_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     numbers = "[0.015, 0.010]"
-    spoilt(place, (f"link_length_m = {numbers}", ""), ("m1.node_id = 10,", "m1 = { node_id = 10, direction = 0 },"))
-    line = lines(capsys)[0]
+    write_changed_jamia11(
+        place,
+        (f"link_length_m = {numbers}", ""),
+        ("m1.node_id = 10,", "m1 = { node_id = 10, direction = 0 },"),
+    )
+    line = error_lines(capsys)[0]
     assert line.startswith("digit[thumb].link_length_m: missing; expected a value: Distance from a link's joint")
 
 
 def test_an_empty_file_names_the_way_on(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (place / "mine.toml").write_text("# nothing yet\n")
-    assert lines(capsys) == [
+    assert error_lines(capsys) == [
         "schema: the file is empty; expected schema = 2 and the sections of a hand; "
         "handctl config init writes them from a few answers"
     ]
@@ -177,7 +185,7 @@ def test_an_empty_file_names_the_way_on(place: Path, capsys: pytest.CaptureFixtu
 
 def test_a_missing_section_is_named_with_its_forms(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (place / "mine.toml").write_text('schema = 2\nname = "mine"\n[[digit]]\nname = "left"\n')
-    found = {line.partition(":")[0]: line for line in lines(capsys)}
+    found = {line.partition(":")[0]: line for line in error_lines(capsys)}
     assert found["tendon"].startswith("tendon: missing; expected [[tendon]] sections, or tendon.NAME in each digit: ")
     assert found["mount"].startswith("mount: missing; expected a section [mount]: ")
     assert "sensor_node" not in found, "a hand may be without"
@@ -185,8 +193,8 @@ def test_a_missing_section_is_named_with_its_forms(place: Path, capsys: pytest.C
 
 
 def test_an_object_inside_the_hand_comes_with_the_others(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    spoilt(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
-    found = lines(capsys, "--scene", "cylinder:900")
+    write_changed_jamia11(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
+    found = error_lines(capsys, "--scene", "cylinder:900")
     assert found[0].startswith("bus[main].bitrate: 8000000")
     assert re.match(r"the simulated hand: scene cylinder:900: the object is \d\d mm inside \w+_link\d of", found[1])
     assert found[1].endswith("expected a smaller object, or another position_m")
@@ -199,7 +207,7 @@ def test_a_demo_refuses_such_an_object_too(place: Path, capsys: pytest.CaptureFi
 
 
 def test_json_has_the_same_lines(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    spoilt(place, MISTAKES["one node number twice"][:2])
+    write_changed_jamia11(place, MISTAKES["one node number twice"][:2])
     assert main(["config", "check", "--json", "--hand", "mine.toml"]) == 2
     out, err = capsys.readouterr()
     assert [f"handctl: {line}" for line in json.loads(out)["errors"]] == err.splitlines()
@@ -207,6 +215,6 @@ def test_json_has_the_same_lines(place: Path, capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.parametrize("case", ["springs that do not open the digit", "8 Mbit/s without CAN FD"])
 def test_run_refuses_a_hand_file_with_mistakes(place: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
-    spoilt(place, MISTAKES[case][:2])
+    write_changed_jamia11(place, MISTAKES[case][:2])
     assert main(["run", "--hand", "mine.toml", "--bus", "local:nobody", "--task", "grasp", "--dry-run"]) == 2
     assert "mine.toml: " in capsys.readouterr().err

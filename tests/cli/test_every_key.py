@@ -12,7 +12,7 @@ from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_content, load_hand
-from tests.hand.test_refusals import changed, is_number, leaves, said
+from tests.hand.test_refusals import is_number, key_path_text, leaves, with_value
 
 BUS = "local:does-not-exist"
 ONE_OF = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
@@ -100,7 +100,7 @@ def _table(name, table):
 
 def without(content, path, instead=None):
     """Return a copy without a key, or with the key under another name."""
-    content = changed(content, path, None)
+    content = with_value(content, path, None)
     parent = content
     for key in path[:-1]:
         parent = parent[key]
@@ -119,7 +119,7 @@ def cases():
                 yield from ((name, path, kind) for kind in KEYS)
 
 
-def spoilt(content, path, kind):
+def text_with_mistake(content, path, kind):
     """Return the text of the file with one mistake."""
     if kind in KEYS:
         old = content
@@ -132,7 +132,7 @@ def spoilt(content, path, kind):
     old = content
     for key in path:
         old = old[key]
-    return text_of(changed(content, path, NEVER[kind] if kind in NEVER else PERHAPS[kind](old)))
+    return text_of(with_value(content, path, NEVER[kind] if kind in NEVER else PERHAPS[kind](old)))
 
 
 class OpenedError(Exception):
@@ -176,14 +176,18 @@ def test_unchanged_hand_file_is_accepted(place, capsys, name):
 @pytest.mark.parametrize(("name", "path", "kind"), ALL[::ONE_OF], ids=lambda x: str(x) if isinstance(x, str) else None)
 def test_every_wrong_key_is_refused(place, capsys, name, path, kind):
     content, option = FILES[name]
-    (place / "file.toml").write_text(spoilt(content, path, kind))
+    (place / "file.toml").write_text(text_with_mistake(content, path, kind))
     line = refusal(capsys, option, "file.toml")
     if kind == "twice":
         assert "file.toml" in line
         assert "TOML" in line
     elif kind in NEVER or kind == "renamed":
         assert "file.toml: " in line, "refused"
-        spoken = said(without(content, path), path[:-1]) if kind == "renamed" else said(content, path)
+        spoken = (
+            key_path_text(without(content, path), path[:-1])
+            if kind == "renamed"
+            else key_path_text(content, path)
+        )
         assert spoken in line
         assert "expected" in line
     elif line:

@@ -22,7 +22,7 @@ SAME = f"tension.force_N={Gains().tension.force_N}"
 
 
 @pytest.fixture
-def applied(place):
+def twice_changed_hand(place):
     """Return a hand whose gains were changed twice."""
     for newtons in (25, 30):
         (place / "new.toml").write_text(f"schema = 1\n[motion]\nforce_N = {newtons}.0\n")
@@ -33,19 +33,19 @@ def write_gains(path, hand, identity):
     path.write_text(gains_text(Gains(), Provenance(hand=hand, identity=identity)))
 
 
-def told(capsys, *words):
+def output_of(capsys, *words):
     capsys.readouterr()
     assert main([*words, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
-def test_gains_show_tells_the_origin_of_each_value(applied, capsys):
-    shown = told(capsys, "gains", "show", "--gain", "tension.force_N=12")
+def test_gains_show_tells_the_origin_of_each_value(twice_changed_hand, capsys):
+    shown = output_of(capsys, "gains", "show", "--gain", "tension.force_N=12")
     rows = shown["gains"]
     assert (rows["motion.force_N"]["value"], rows["motion.force_N"]["origin"]) == (30.0, "jamia.gains.toml")
     assert (rows["tension.force_N"]["value"], rows["tension.force_N"]["origin"]) == (12.0, "command line")
     assert shown["provenance"]["note"] == "30 N"
-    hand = told(capsys, "config", "show")
+    hand = output_of(capsys, "config", "show")
     assert hand["gains"]["motion"]["force_N"] == 30.0
     assert hand["gains_origins"]["motion.force_N"] == "jamia.gains.toml"
 
@@ -83,15 +83,17 @@ def test_gains_of_a_changed_hand_are_reported_by_apply_and_verify(place, capsys,
 
 
 def test_gains_show_names_the_packaged_gains(capsys):
-    assert told(capsys, "gains", "show")["gains"]["motion.force_N"]["origin"] == "packaged"
+    assert output_of(capsys, "gains", "show")["gains"]["motion.force_N"]["origin"] == "packaged"
 
 
-def test_rollback_changes_diff_and_log(applied, capsys):
-    assert told(capsys, "gains", "diff")["changed"] == {"motion.force_N": [PACKAGED_N, 30.0]}
-    assert told(capsys, "gains", "diff", "1", "2")["changed"] == {"motion.force_N": [25.0, 30.0]}
-    assert told(capsys, "gains", "rollback")["provenance"]["restores"] == 1
-    assert told(capsys, "gains", "diff")["changed"] == {"motion.force_N": [PACKAGED_N, 25.0]}
-    history = told(capsys, "gains", "log")
+def test_rollback_changes_diff_and_log(twice_changed_hand, capsys):
+    assert output_of(capsys, "gains", "diff")["changed"] == {"motion.force_N": [PACKAGED_N, 30.0]}
+    assert output_of(capsys, "gains", "diff", "1", "2")["changed"] == {
+        "motion.force_N": [25.0, 30.0]
+    }
+    assert output_of(capsys, "gains", "rollback")["provenance"]["restores"] == 1
+    assert output_of(capsys, "gains", "diff")["changed"] == {"motion.force_N": [PACKAGED_N, 25.0]}
+    history = output_of(capsys, "gains", "log")
     assert history["present"] == 3
     assert [entry["note"] for entry in history["entries"]] == ["25 N", "30 N", "rollback to 1"]
 
@@ -117,14 +119,14 @@ def test_mistakes_are_one_line_and_exit_2(words, said, capsys):
     assert error.count("\n") == 1
 
 
-def test_a_damaged_file_does_not_block_the_way_back(applied, place, capsys):
+def test_a_damaged_file_does_not_block_the_way_back(twice_changed_hand, place, capsys):
     (place / "jamia.gains.toml").write_text("schema = [")
     capsys.readouterr()
     assert main(["gains", "log"]) == 0
     assert "rollback brings back number 2" in capsys.readouterr().err
     assert main(["gains", "rollback"]) == 0
     assert "is jamia.gains.damaged.toml now" in capsys.readouterr().err
-    assert told(capsys, "gains", "diff", "2", "present")["changed"] == {}
+    assert output_of(capsys, "gains", "diff", "2", "present")["changed"] == {}
 
 
 def test_gains_that_no_controller_follows_from_are_not_applied(place, capsys):

@@ -8,7 +8,7 @@ from handctl.cli.main import main
 from handctl.hand.load import hand_path, load_hand
 
 
-def without_cell(folder: Path) -> str:
+def jamia_without_load_cell(folder: Path) -> str:
     """Write jamia without the load cell of its first tendon, and return the path."""
     text = hand_path("jamia").read_text()
     assert 'tendons = "all"' in text
@@ -25,8 +25,20 @@ def test_hands_that_their_tendons_return_are_not_refused(hand: str, capsys: pyte
 
 
 def test_a_hand_without_load_cells_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["identify", "--hand", without_cell(tmp_path), "--lockstep"]) == 2
+    assert main(["identify", "--hand", jamia_without_load_cell(tmp_path), "--lockstep"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "no load cell on index_tendon" in line
-    assert main(["identify", "--hand", without_cell(tmp_path), "--lockstep", "--digits", "pinky"]) == 2
+    assert (
+        main(
+            [
+                "identify",
+                "--hand",
+                jamia_without_load_cell(tmp_path),
+                "--lockstep",
+                "--digits",
+                "pinky",
+            ]
+        )
+        == 2
+    )
     assert "pinky" in capsys.readouterr().err

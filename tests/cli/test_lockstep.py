@@ -22,7 +22,7 @@ KEYS = {
 }  # fmt: skip
 
 
-def demos(folder, *hands, task=""):
+def run_demos(folder, *hands, task=""):
     """Return the results of lockstep demos, run in parallel processes, with a task instead of the grasp on request."""
     running = []
     for number, hand in enumerate(hands):
@@ -47,22 +47,24 @@ def demos(folder, *hands, task=""):
 @pytest.fixture(scope="module")
 def twins(tmp_path_factory):
     """Return two equal demos: a short motion in ordinary runs, a grasp in nightly runs."""
-    return demos(tmp_path_factory.mktemp("twins"), "jamia", "jamia", task="" if NIGHTLY else SHORT)
+    return run_demos(
+        tmp_path_factory.mktemp("twins"), "jamia", "jamia", task="" if NIGHTLY else SHORT
+    )
 
 
 @pytest.fixture(scope="module")
 def four(tmp_path_factory):
     """Return the demo with the default hand."""
-    return demos(tmp_path_factory.mktemp("four"), "jamia")[0]
+    return run_demos(tmp_path_factory.mktemp("four"), "jamia")[0]
 
 
 @pytest.fixture(scope="module")
 def eleven(tmp_path_factory):
     """Return the demo of the hand with one motor per joint."""
-    return demos(tmp_path_factory.mktemp("eleven"), "jamia11")[0]
+    return run_demos(tmp_path_factory.mktemp("eleven"), "jamia11")[0]
 
 
-def stream(path):
+def messages_of(path):
     """Return topic, time and data of every message, in the order of the file."""
     with path.open("rb") as file:
         messages = make_reader(file).iter_messages(log_time_order=False)
@@ -84,7 +86,7 @@ def test_two_runs_write_the_same_bytes(twins, name):
 def test_lockstep_demo_writes_exactly_its_files(twins):
     for place, _ in twins:
         assert {path.name for path in place.iterdir()} == FILES
-    assert len(stream(twins[0][0] / "run.mcap")) > (50_000 if NIGHTLY else 10_000)
+    assert len(messages_of(twins[0][0] / "run.mcap")) > (50_000 if NIGHTLY else 10_000)
 
 
 def test_two_lockstep_runs_print_the_same(twins):
@@ -131,7 +133,7 @@ def test_ros_reads_every_message(twins):
         for connection, _, raw in reader.messages():
             assert reader.deserialize(raw, connection.msgtype) is not None
             seen += 1
-    assert seen == len(stream(path))
+    assert seen == len(messages_of(path))
 
 
 def test_rerun_finds_the_moving_hand(twins):

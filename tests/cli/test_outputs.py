@@ -32,7 +32,7 @@ NOWHERE = {
 
 
 @pytest.fixture(autouse=True)
-def things(place):
+def existing_files(place):
     """Create the files that exist before the command."""
     for name in ("folder", "folder.rrd"):
         (place / name).mkdir()

@@ -18,7 +18,7 @@ from handctl.session.run import Outcome
 LATE, TORN = ("B03b", "N02"), ("T01",)
 
 
-def ended(*rows: str, cpu_s: float = 0.0) -> Outcome:
+def run_with_faults(*rows: str, cpu_s: float = 0.0) -> Outcome:
     """Return a run that ended with these faults."""
     latched = [SimpleNamespace(id=row) for row in rows]
     state = SimpleNamespace(latched=latched, failure="fault" if rows else "", k=1000)
@@ -39,7 +39,7 @@ def ended(*rows: str, cpu_s: float = 0.0) -> Outcome:
 )
 def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tuple[str, ...], told: bool) -> None:
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus,) if bus else ())
-    assert ("--time-scale" in pace_advice(plan, ended(*rows))) == told
+    assert ("--time-scale" in pace_advice(plan, run_with_faults(*rows))) == told
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,9 @@ def test_the_pace_that_is_advised_is_measured(
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told if question == {"pace": True} else {})
     monkeypatch.setattr(pace, "usable_cores", lambda: 2)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert pace_advice(plan, ended(*LATE, cpu_s=cpu_s)).endswith(f"handctl sim with --time-scale {number:g}")
+    assert pace_advice(plan, run_with_faults(*LATE, cpu_s=cpu_s)).endswith(
+        f"handctl sim with --time-scale {number:g}"
+    )
 
 
 def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,7 +71,7 @@ def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told)
     monkeypatch.setattr(pace, "usable_cores", lambda: 1)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert pace.slower_time_scale(plan, ended(*LATE, cpu_s=1.8)) == 0.5
+    assert pace.slower_time_scale(plan, run_with_faults(*LATE, cpu_s=1.8)) == 0.5
 
 
 def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:

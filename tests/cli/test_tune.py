@@ -28,7 +28,7 @@ A = Namespace(candidate="new.toml", hand="jamia")
 
 
 @pytest.fixture
-def searched(monkeypatch):
+def fake_search(monkeypatch):
     """Replace the search by one that returns given trials at once."""
     trials = []
     monkeypatch.setattr("handctl.tune.search.search.run_search", lambda *words: SearchResult.of(tuple(trials)))
@@ -36,8 +36,8 @@ def searched(monkeypatch):
     return trials
 
 
-def test_a_search_without_a_good_trial_is_json_too(searched, place, capsys):
-    searched.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, 0.5)))
+def test_a_search_without_a_good_trial_is_json_too(fake_search, place, capsys):
+    fake_search.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, 0.5)))
     assert main(["tune", "search", "--plants", "1", "--trials", "1", "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert (told["trials"], told["good"], told["best"], told["gains"]) == (1, 0, None, None)
@@ -122,8 +122,8 @@ def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(place, caps
     assert "digit[index].spring_preload_rad: the springs open the joints with" in said
 
 
-def test_units_in_brackets_are_no_markup(searched, capsys):
-    searched.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, -0.5)))
+def test_units_in_brackets_are_no_markup(fake_search, capsys):
+    fake_search.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, -0.5)))
     assert main(["tune", "search", "--plants", "1", "--trials", "1", "--study", "[bold].study"]) == 0
     said = capsys.readouterr().out
     assert "[deg rms]" in said
@@ -336,7 +336,7 @@ def test_the_simulator_refuses_the_same(capsys, words, said):
     assert err.count("\n") == 1
 
 
-def next_words(out):
+def next_command(out):
     """Return the words of the next command that a verb has printed."""
     [line] = [line for line in out.splitlines() if line.startswith("next: handctl ")]
     return shlex.split(line)[2:]
@@ -371,11 +371,11 @@ def test_what_was_identified_in_lockstep_is_tuned_verified_and_applied_in_lockst
     """Each command is the one that the verb before has printed, with less work."""
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0
-    words = next_words(capsys.readouterr().out)
+    words = next_command(capsys.readouterr().out)
     assert words[:2] == ["tune", "search"]
     assert words[-3:] == ["--perturb", "stiffness=0.8", "friction=1.2"]
     assert main([*words, "--plants", "1", "--trials", "2"]) == 0
-    words = next_words(capsys.readouterr().out)
+    words = next_command(capsys.readouterr().out)
     assert words[:4] == ["tune", "verify", "jamia.search.toml", "--lockstep"]
     assert words[words.index("--calibration") + 1] == "jamia.lockstep.calibration.toml"
     assert words[-3:] == ["--perturb", "stiffness=0.8", "friction=1.2"]

@@ -41,7 +41,7 @@ def test_the_protocols_to_choose_are_those_that_there_are():
     assert sorted(PROTOCOLS) == sorted(registry.PROTOCOLS)
 
 
-def spoken(capsys, *words):
+def json_output(capsys, *words):
     """Return the output of a verb with --json."""
     code = main([*words, "--json"])
     out, _ = capsys.readouterr()
@@ -60,14 +60,14 @@ DRY = {
 @pytest.mark.parametrize("verb", DRY)
 def test_json_without_hardware(capsys, verb):
     dry = ("--dry-run",) if verb == "run" else ()
-    code, said = spoken(capsys, *verb.split(), *DRY[verb], *dry)
+    code, said = json_output(capsys, *verb.split(), *DRY[verb], *dry)
     assert code in ((0, 1) if verb == "doctor" else (0,))  # the doctor may find something to repair
     assert said
 
 
 def test_what_config_says_of_the_bus_is_what_a_run_would_do(capsys):
-    _, config = spoken(capsys, "config", "show", "--hand", "jamia11")
-    _, plan = spoken(capsys, "run", "--hand", "jamia11", *BUS, "--dry-run")
+    _, config = json_output(capsys, "config", "show", "--hand", "jamia11")
+    _, plan = json_output(capsys, "run", "--hand", "jamia11", *BUS, "--dry-run")
     assert config["rate_hz"] == plan["rate_hz"] == 200.0
     assert config["bus_load"]["main"] == plan["bus_load"] < 0.7
     assert plan["buses"] == ["local:does-not-exist"]
@@ -92,7 +92,7 @@ def test_a_dry_run_opens_and_writes_nothing(place, capsys, verb):
     words = (*verb.split(), *DRY_RUNS[verb], "--dry-run")
     assert main(words) == 0
     assert capsys.readouterr().out
-    code, said = spoken(capsys, *words)
+    code, said = json_output(capsys, *words)
     assert code == 0
     assert said
     assert not any(place.iterdir())
@@ -101,7 +101,7 @@ def test_a_dry_run_opens_and_writes_nothing(place, capsys, verb):
 
 def test_a_dry_run_of_gains_tells_them(place, capsys):
     Path("new.toml").write_text("schema = 1\n[motion]\nforce_N = 14\n")
-    code, said = spoken(capsys, "tune", "verify", "new.toml", "--lockstep", "--dry-run")
+    code, said = json_output(capsys, "tune", "verify", "new.toml", "--lockstep", "--dry-run")
     assert (code, said["gains"]) == (0, "new.toml")
 
 
@@ -129,7 +129,7 @@ def log(tmp_path_factory):
 
 
 def test_log_info_counts_the_ticks_of_a_complete_log(log, capsys):
-    code, said = spoken(capsys, "log", "info", str(log))
+    code, said = json_output(capsys, "log", "info", str(log))
     assert (code, said["whole"], said["ticks"]) == (0, True, 3000)
     assert main(["log", "info", str(log)]) == 0
     assert "3000" in capsys.readouterr().out
@@ -138,10 +138,10 @@ def test_log_info_counts_the_ticks_of_a_complete_log(log, capsys):
 def test_a_cut_log_is_said_to_be_cut_and_recovered(log, place, capsys):
     data = log.read_bytes()
     (place / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
-    code, said = spoken(capsys, "log", "info", "cut.mcap")
+    code, said = json_output(capsys, "log", "info", "cut.mcap")
     assert (code, said["whole"]) == (3, False)
     assert 0 < said["ticks"] < 3000
-    code, found = spoken(capsys, "log", "recover", "cut.mcap")
+    code, found = json_output(capsys, "log", "recover", "cut.mcap")
     assert (code, found["status"]) == (3, "lossy")
     with RunLog(place / "cut.recovered.mcap") as whole:
         assert not whole.warning
@@ -150,7 +150,7 @@ def test_a_cut_log_is_said_to_be_cut_and_recovered(log, place, capsys):
 
 def test_recovering_a_whole_log_gives_the_same(log, place, capsys):
     shutil.copy(log, "run.mcap")
-    code, found = spoken(capsys, "log", "recover", "run.mcap", "--output", "new.mcap")
+    code, found = json_output(capsys, "log", "recover", "run.mcap", "--output", "new.mcap")
     assert (code, found["status"], found["lost"]) == (0, "whole", [])
     with RunLog(log) as old, RunLog(place / "new.mcap") as new:
         assert np.array_equal(old.times, new.times)
@@ -158,7 +158,7 @@ def test_recovering_a_whole_log_gives_the_same(log, place, capsys):
 
 def test_a_log_that_broke_off_before_its_first_chunk_holds_nothing(log, place, capsys):
     (place / "head.mcap").write_bytes(log.read_bytes()[:64])
-    code, found = spoken(capsys, "log", "recover", "head.mcap")
+    code, found = json_output(capsys, "log", "recover", "head.mcap")
     assert (code, found["status"]) == (1, "nothing")
     assert not (place / "head.recovered.mcap").exists()
 

@@ -25,7 +25,7 @@ LOGS = sorted(path.name for path in GOLDEN.glob("*.mcap"))
 PACKAGE = Path(handctl.__file__).parent
 
 
-def executed(log: Path) -> str:
+def hash_of_execution(log: Path) -> str:
     """Execute a log again, and return one hash of all states and numbers."""
     import hashlib
 
@@ -41,7 +41,7 @@ def executed(log: Path) -> str:
     return digest.hexdigest()
 
 
-def interpreted(*words: str) -> subprocess.Popen[str]:
+def run_without_compiler(*words: str) -> subprocess.Popen[str]:
     """Start Python without a compiler."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
     return subprocess.Popen([sys.executable, *words], env=environment, stdout=subprocess.PIPE, text=True)
@@ -56,8 +56,8 @@ DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
 )
 def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
     script = f"from {__name__} import executed, GOLDEN; print(executed(GOLDEN / {name!r}))"
-    with interpreted("-c", script) as other:
-        mine = executed(GOLDEN / name)
+    with run_without_compiler("-c", script) as other:
+        mine = hash_of_execution(GOLDEN / name)
         output, _ = other.communicate(timeout=120)
     assert output.strip() == mine
 
@@ -71,7 +71,9 @@ DAILY = [(1, 0), (2, 0), (5, 1), (11, 1), (24, 0)]
 )
 def test_interpreted_kernels_give_the_same_ticks_of_random_hands(hands: list[tuple[int, int]]) -> None:
     """Compare state, numbers, frames and events of every tick, with lost, duplicate, late and corrupt frames."""
-    with interpreted("-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in hands]) as other:
+    with run_without_compiler(
+        "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in hands]
+    ) as other:
         mine = [tick_hashes(*hand) for hand in hands]
         output, _ = other.communicate(timeout=60.0 * len(hands))
     for hand, one, two in zip(hands, mine, json.loads(output), strict=True):
@@ -146,7 +148,7 @@ def copy(tmp_path: Path) -> Path:
     return package
 
 
-def ask(package: Path, cache: Path) -> tuple[bool, bool, bool]:
+def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
     """Run the kernel of a copy, and return its result.
 
     Returns:
@@ -163,15 +165,17 @@ def ask(package: Path, cache: Path) -> tuple[bool, bool, bool]:
 def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path: Path) -> None:
     """Check a case that numba misses: numba only checks whether the kernel's file has changed."""
     cache = tmp_path / "cache"
-    assert ask(copy, cache) == (True, False, True)
-    assert ask(copy, cache) == (True, True, True), "positive control: what has not changed is not compiled again"
+    assert run_copied_kernel(copy, cache) == (True, False, True)
+    assert run_copied_kernel(copy, cache) == (True, True, True), (
+        "positive control: what has not changed is not compiled again"
+    )
     other = copy / "safety" / "faults" / "node.py"
     text = other.read_text(encoding="utf-8")
     assert "HALF_RATE_MISSES = 7\n" in text
     other.write_text(text.replace("HALF_RATE_MISSES = 7\n", "HALF_RATE_MISSES = 8\n"), encoding="utf-8")
-    assert ask(copy, cache) == (False, False, True)
+    assert run_copied_kernel(copy, cache) == (False, False, True)
     other.write_text(text, encoding="utf-8")
-    assert ask(copy, cache) == (True, True, True), "the code of both versions is kept"
+    assert run_copied_kernel(copy, cache) == (True, True, True), "the code of both versions is kept"
 
 
 def test_two_installations_of_one_version_store_their_code_apart(copy: Path, tmp_path: Path) -> None:
@@ -179,7 +183,7 @@ def test_two_installations_of_one_version_store_their_code_apart(copy: Path, tmp
     cache, other = tmp_path / "cache", tmp_path / "other" / copy.name
     shutil.copytree(copy, other)
     for package in (copy, other):
-        assert ask(package, cache) == (True, False, True)
+        assert run_copied_kernel(package, cache) == (True, False, True)
     assert len(list((cache / "handctl").glob("kernels-*"))) == 2
 
 
@@ -192,7 +196,7 @@ def test_without_a_writable_cache_each_process_compiles(copy: Path, tmp_path: Pa
         (cache / "handctl").write_text("")
     if kind == "read-only":
         cache.chmod(0o555)
-    result, hit, stored = ask(copy, cache)
+    result, hit, stored = run_copied_kernel(copy, cache)
     assert (result, hit) == (True, False)
     assert not stored or (kind == "read-only" and os.geteuid() == 0), "root writes everywhere"
 

@@ -102,10 +102,14 @@ class ToyHand:
         if node.joints and counter % node.joint_decimation == 0:
             flicker = counter // node.joint_decimation % 2
             frames.append((node.base_id + 0x10, [2048 + flicker] * len(node.joints)))
-        return [frame for base, values in frames for frame in _packed(base, counter & 0xF, values)]
+        return [
+            frame
+            for base, values in frames
+            for frame in _pack_channels(base, counter & 0xF, values)
+        ]
 
 
-def _packed(base: int, counter: int, values: list[int]) -> list[Frame]:
+def _pack_channels(base: int, counter: int, values: list[int]) -> list[Frame]:
     """Pack up to five channels of 12 bits into each frame, after a counter of four bits, from the lowest bit."""
     frames = []
     for group, start in enumerate(range(0, len(values), 5)):

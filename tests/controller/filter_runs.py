@@ -14,7 +14,7 @@ from handctl.core.estimation.filter_stack import STATES, Regime, S, X
 from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from tests.controller.synthetic import Estimate, Readings, blank, constants, estimate_of, nothing_read
+from tests.controller.synthetic import Estimate, Readings, active_state, constants, empty_readings, estimate_of
 
 
 class FilterState(NamedTuple):
@@ -65,7 +65,7 @@ ROWS = {
 """Fields of the block that a filter's state is made of, beside its seven states and the covariance."""
 
 
-def put(state: State, filtered: FilterState) -> None:
+def write_filter_state(state: State, filtered: FilterState) -> None:
     """Write a filter state into the state of a controller."""
     state.tendon[s.TRAVEL : s.TRAVEL + STATES] = filtered.x.reshape(-1, STATES).T
     for name, row in ROWS.items():
@@ -77,7 +77,7 @@ def put(state: State, filtered: FilterState) -> None:
     state.set_whole(s.STARTED, filtered.started)
 
 
-def taken(state: State) -> FilterState:
+def filter_state_of(state: State) -> FilterState:
     """Read the filter state from the state of a controller."""
     booleans = ("stopped", "measured", "doubtful")
     found = {
@@ -130,10 +130,10 @@ def tick(
     if run.started:
         predict_filter_states(model, run.layout, run.block, missed)
     stages.conclude_estimate(run.block, run.layout.places, *constants(model))
-    return taken(run), estimate_of(run)
+    return filter_state_of(run), estimate_of(run)
 
 
-def resting(model: HandModel, tension: float, closed: float) -> tuple[np.ndarray, np.ndarray]:
+def state_at_rest(model: HandModel, tension: float, closed: float) -> tuple[np.ndarray, np.ndarray]:
     """Return state (N, 7) and motor forces of a hand at rest with all joints at ``closed`` [rad]."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), closed)
@@ -148,21 +148,23 @@ def step(
     return tick(model, state, measured, force, np.zeros(model.tendon_count), contact)
 
 
-def readings(model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False) -> Readings:
+def noiseless_readings(
+    model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False
+) -> Readings:
     """Return noiseless sensor readings of a state (N, 7) with given tensions, with joint encoders on request."""
-    return nothing_read(model)._replace(
+    return empty_readings(model)._replace(
         travel=x[:, X].copy(),
         tension=tension,
         excursion=x[:, S] if excursion else np.full(len(x), np.nan),
     )
 
 
-def all_in(model: HandModel, regime: Regime, x: np.ndarray) -> FilterState:
+def all_in_regime(model: HandModel, regime: Regime, x: np.ndarray) -> FilterState:
     """Return every tendon in one regime, with all digits away from their stops."""
     return FilterState.of(x.ravel(), regime, stopped=False)
 
 
-def nowhere(model: HandModel) -> tuple[bool, ...]:
+def no_contact(model: HandModel) -> tuple[bool, ...]:
     """Return that no digit is in contact."""
     return (False,) * len(model.digits)
 
@@ -174,10 +176,10 @@ def start(model: HandModel, state: FilterState, travel: np.ndarray, cells: bool 
     run.view("position")[...] = travel / model.space.spool
     run.view("group_frames")[...] = cells
     stages.observe_tick(run.block, run.layout.places, *constants(model))
-    return taken(run)
+    return filter_state_of(run)
 
 
-def corrected(model: HandModel, state: FilterState, measured: Readings) -> State:
+def corrected_state(model: HandModel, state: FilterState, measured: Readings) -> State:
     """Return the state of a free hand after the measurement update, before the prediction."""
     run = state_of(model, state)
     read(run, measured)
@@ -187,9 +189,9 @@ def corrected(model: HandModel, state: FilterState, measured: Readings) -> State
 
 def state_of(model: HandModel, filtered: FilterState) -> State:
     """Return the state of a controller with the given filter state."""
-    run = blank(model)
+    run = active_state(model)
     run.mode = Mode.ARMING  # in which a planned contact counts, and none is felt
-    put(run, filtered)
+    write_filter_state(run, filtered)
     return run
 
 

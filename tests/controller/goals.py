@@ -9,7 +9,7 @@ from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 
 
-def moving(
+def moving_goals(
     model: HandModel, start: float, end: float, duration: float | tuple[float, ...], since: float = 0.0
 ) -> tuple[DigitGoal, ...]:
     """Return goals that move every digit between two angles [rad], all in one duration [s] or each in its own."""
@@ -21,7 +21,9 @@ def moving(
     )
 
 
-def holding(model: HandModel, tension: float, rate: float = 200.0, limit: float = math.inf) -> tuple[DigitGoal, ...]:
+def holding_goals(
+    model: HandModel, tension: float, rate: float = 200.0, limit: float = math.inf
+) -> tuple[DigitGoal, ...]:
     """Return goals that hold every tendon at a tension [N]."""
     return tuple(
         DigitGoal(Kind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)

@@ -18,7 +18,7 @@ from handctl.core.law.loads import allocate_bounded_tensions
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Places
 from handctl.safety.action import Action
-from tests.controller.synthetic import Estimate, blank, constants, controller_of, written
+from tests.controller.synthetic import Estimate, active_state, constants, controller_of, state_with_estimate
 
 
 class LawState(NamedTuple):
@@ -69,7 +69,9 @@ def warm(model: HandModel, limit: np.ndarray) -> np.ndarray:
     return limits.temperature_hard - fraction * (limits.temperature_hard - limits.temperature_soft)
 
 
-def commanded(model: HandModel, state: State, goals: tuple[DigitGoal, ...], t: float, action: Action) -> None:
+def run_control_law(
+    model: HandModel, state: State, goals: tuple[DigitGoal, ...], t: float, action: Action
+) -> None:
     """Run the command of one tick on a state, with these goals at time t [s]."""
     write_goals(model, state.layout, state.block, goals)
     state.decide(progress=replace(state.progress, goals=goals))
@@ -92,7 +94,7 @@ def step(
         model: the hand. law: from the last tick. estimate: of this instant. goals: per digit. t: time [s].
         most: (N,) tension that warm drives may pull [N]. held: (N,) the same while safety holds [N].
     """
-    state = written(model, estimate)
+    state = state_with_estimate(model, estimate)
     for name in ("setpoint", "integral", "force", "planned", "rate"):
         state.view(name)[...] = getattr(law, name)
     if law.trim is not None:
@@ -105,11 +107,11 @@ def step(
     if held is not None:
         state.view("limit_held")[...] = held
         state.set_whole(s.HOLDING, 1)
-    commanded(model, state, goals, t, Action.PASS if held is None else Action.HOLD)
-    return carried(state), command_of(state)
+    run_control_law(model, state, goals, t, Action.PASS if held is None else Action.HOLD)
+    return law_state_of(state), command_of(state)
 
 
-def carried(state: State) -> LawState:
+def law_state_of(state: State) -> LawState:
     """Return the state of the control law after a tick."""
     kept = {name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")}
     trim = state.view("trim").copy() if state.whole(s.TRIMMED) else None
@@ -142,7 +144,7 @@ def _required(block: Block, at: Places, of: Block, of_at: Places, way: np.ndarra
 
 def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> np.ndarray:
     """Return the tensions (N,) at the joints for the torques of a motion (3, J) of the digits that move [N]."""
-    state = blank(model)
+    state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
     undecided = _required(state.block, state.layout.places, *constants(model), way)
     allocate_bounded_tensions(model, state.layout, controller_of(model).constants, state.block, undecided, way)
@@ -151,6 +153,6 @@ def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> 
 
 def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
     """Return angles, rates and accelerations (3, J) of the joints on their trajectories at time t [s]."""
-    state = blank(model)
-    commanded(model, state, goals, t, Action.PASS)
+    state = active_state(model)
+    run_control_law(model, state, goals, t, Action.PASS)
     return stages.joint_motion(state.block, state.layout.places, *constants(model))

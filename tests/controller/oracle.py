@@ -24,10 +24,10 @@ def rates_of_change(
         ds, dw = w - rate / space.stiffness[i], dv - (w - v) / gains.free_time_s
     else:
         ds, dw = w - s / 1e4, -w / gains.held_time_s
-    return np.array([v, dv, ds, dw, -d / on_the_motor(model, regime)[1], -e / 1e4, -o / 1e4])
+    return np.array([v, dv, ds, dw, -d / unknown_motor_force(model, regime)[1], -e / 1e4, -o / 1e4])
 
 
-def on_the_motor(model: HandModel, regime: Regime) -> tuple[float, float, float]:
+def unknown_motor_force(model: HandModel, regime: Regime) -> tuple[float, float, float]:
     """Return unknown force on the motor [N], its time constant [s] and noise [N]. Friction is least certain at rest."""
     kind = "held" if regime == Regime.HELD else "motor"
     names = ("disturbance_N", "disturbance_time_s", "acceleration_noise_N")
@@ -45,7 +45,7 @@ def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
     """Spectral density of the noise on the states, by what drives them: a Gauss-Markov state of sigma and tau has
     2 sigma^2 / tau, a walk sigma^2 / tau; what shakes the spool shakes the free digit that follows it."""
     space, gains = model.space, model.gains.filter
-    disturbance, lasts, shaking = on_the_motor(model, regime)
+    disturbance, lasts, shaking = unknown_motor_force(model, regime)
     spool = np.zeros(STATES)
     spool[V] = shaking / space.motor_mass[i]
     digit = np.zeros(STATES)
@@ -87,7 +87,9 @@ def measurement_noise(model: HandModel, i: int) -> np.ndarray:
     return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
 
 
-def by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
+def covariance_by_doubling(
+    F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray
+) -> np.ndarray:
     """Return the steady-state covariance of the prediction by structured doubling (Anderson 1978)."""
     A, G, P = F.T, H.T @ np.linalg.solve(R, H), Q
     for _ in range(60):
@@ -106,7 +108,9 @@ def assumed_measurements(block: Block, regime: Regime) -> np.ndarray:
     return H
 
 
-def joseph(block: Block, P: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def joseph_update(
+    block: Block, P: np.ndarray, missing: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return gain (7, 2) and covariance after an update by encoder and load cell. A mask (2,) marks those present.
 
     The load cell's error is told from tension in slack only: elsewhere it is not corrected, and goes on to count.

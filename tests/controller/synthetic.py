@@ -94,7 +94,7 @@ def interpreted(function: Callable[..., Any]) -> Callable[..., Any]:
     return getattr(function, "py_func", function)
 
 
-def blank(model: HandModel) -> State:
+def active_state(model: HandModel) -> State:
     """Return a state of an active hand with a running filter: every tendon taut and free, off its stop."""
     return _blank(model).copy()
 
@@ -109,9 +109,9 @@ def constant_tables_of(model: HandModel) -> ConstantTables:
     return interpreted(constant_tables)(*constants(model))
 
 
-def written(model: HandModel, estimate: Estimate) -> State:
+def state_with_estimate(model: HandModel, estimate: Estimate) -> State:
     """Return a state of an active hand with a given estimate."""
-    state = blank(model)
+    state = active_state(model)
     for name, value in estimate._asdict().items():
         if name not in DERIVED:
             state.view(FIELDS.get(name, name))[...] = value
@@ -152,7 +152,7 @@ def load_statics(
 
     The offset of the tendons is chosen so that they do; nothing else of it matters here.
     """
-    state, space = blank(model), model.space
+    state, space = active_state(model), model.space
     state.tendon[s.TRAVEL : s.TRAVEL + STATES] = table.T
     damped = space.damping * (table[:, V] - table[:, W])
     state.view("stretch_offset")[...] = table[:, X] - table[:, S] - (tension - damped) / space.stiffness
@@ -167,7 +167,7 @@ def efficiency(model: HandModel, q: np.ndarray) -> np.ndarray:
     return np.array([interpreted(winding_efficiency)(of, n, q) for n in range(model.tendon_count)])
 
 
-def known(model: HandModel, x: np.ndarray) -> Estimate:
+def exact_estimate(model: HandModel, x: np.ndarray) -> Estimate:
     """Return an estimate that equals a state (N, 7) exactly, with taut tendons and free digits."""
     n = model.tendon_count
     q, dq = np.zeros(len(model.hand.joints)), np.zeros(len(model.hand.joints))
@@ -200,7 +200,7 @@ def known(model: HandModel, x: np.ndarray) -> Estimate:
     )
 
 
-def at_rest(model: HandModel, closed: float) -> np.ndarray:
+def balanced_state(model: HandModel, closed: float) -> np.ndarray:
     """Return a state (N, 7) in balance with springs and weight, with all coordinates at ``closed`` [rad]."""
     x = np.zeros((model.tendon_count, STATES))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -209,23 +209,29 @@ def at_rest(model: HandModel, closed: float) -> np.ndarray:
     return x
 
 
-def under(model: HandModel, tension: float | np.ndarray, closed: float = 0.0) -> Estimate:
+def estimate_under_tension(
+    model: HandModel, tension: float | np.ndarray, closed: float = 0.0
+) -> Estimate:
     """Return an estimate of a hand at rest with a given tension in its tendons."""
-    return known(model, at_rest(model, closed))._replace(tension=np.full(model.tendon_count, 1.0) * tension)
+    return exact_estimate(model, balanced_state(model, closed))._replace(
+        tension=np.full(model.tendon_count, 1.0) * tension
+    )
 
 
 def slack(model: HandModel) -> Estimate:
     """Return an estimate of a hand with slack tendons."""
-    return under(model, 0.0)._replace(slack=np.ones(model.tendon_count, dtype=bool))
+    return estimate_under_tension(model, 0.0)._replace(
+        slack=np.ones(model.tendon_count, dtype=bool)
+    )
 
 
-def nothing_read(model: HandModel) -> Readings:
+def empty_readings(model: HandModel) -> Readings:
     """Return the readings of a tick without frames."""
     n, joints = model.tendon_count, len(model.hand.joints)
     return Readings(np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan))
 
 
-def concluded(model: HandModel, state: State, estimate: Estimate) -> Estimate:
+def detect_contacts(model: HandModel, state: State, estimate: Estimate) -> Estimate:
     """Return the estimate after contact detection of a tick. The state stores the contacts and the closing digits.
 
     Args:

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from handctl.core import stages
 from handctl.core.model import HandModel
 from handctl.safety.faults.node import STUCK_GOAL_M
-from tests.controller.synthetic import blank, constants
+from tests.controller.synthetic import active_state, constants
 
 
 @pytest.mark.parametrize("rest_s", [0.2, 5.0])
 def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float) -> None:
     """Regression: after a move to 40 deg, a motor at rest counted as stuck when its digit was touched."""
-    state, period = blank(jamia), jamia.period
+    state, period = active_state(jamia), jamia.period
     far = np.full(len(jamia.hand.joints), math.radians(40.0))
 
     def tick(goal: NDArray[np.float64], apart_m: float) -> NDArray[np.float64]:

@@ -46,7 +46,7 @@ def names_of(of: list[Field]) -> list[str]:
 # Schema and layout.
 
 
-def small() -> tuple[Schema, dict[str, int]]:
+def small_schema() -> tuple[Schema, dict[str, int]]:
     """Return a schema of three tables, and the lengths of its axes."""
     schema = Schema("tendon", "joint*tendon", "run", "tendon_int")
     schema.real("tension", "tendon", "N", "of a tendon", initial=2.5)
@@ -58,7 +58,7 @@ def small() -> tuple[Schema, dict[str, int]]:
 
 
 def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
-    schema, axes = small()
+    schema, axes = small_schema()
     layout = schema.layout(axes)
     assert layout.size == len(layout.initial) == 4 + 3 * 4 + 2 * 4 + 1 + 4
     shapes = {"tension": (4,), "past": (3, 4), "arms": (2, 4), "t": (1,), "regime": (4,)}
@@ -71,7 +71,7 @@ def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
 
 def test_new_field_needs_one_line() -> None:
     """A new field gets the next row of its table. Existing fields keep their names and shapes."""
-    (before, axes), (after, _) = small(), small()
+    (before, axes), (after, _) = small_schema(), small_schema()
     row = after.real("speed", "tendon", "m/s", "of a tendon", initial=7.0)
     old, new = before.layout(axes), after.layout(axes)
     assert row == before.rows("tendon") == after.rows("tendon") - 1
@@ -86,7 +86,7 @@ def test_new_field_needs_one_line() -> None:
 
 
 def test_fields_do_not_overlap_and_leave_no_gap() -> None:
-    schema, axes = small()
+    schema, axes = small_schema()
     layout = schema.layout(axes)
     count = np.zeros(layout.size)
     for field in schema.fields:
@@ -218,7 +218,9 @@ def _varied(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
     return found
 
 
-def packed(model: HandModel, monkeypatch: pytest.MonkeyPatch) -> tuple[HandConstants, dict[str, object]]:
+def packed_constants(
+    model: HandModel, monkeypatch: pytest.MonkeyPatch
+) -> tuple[HandConstants, dict[str, object]]:
     """Return the constants of a hand, and the packed values by field."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
     for part in ("_motor_constants", "_law_constants", "_link_constants", "_structure_constants", "_posture_constants"):
@@ -241,7 +243,7 @@ def packed(model: HandModel, monkeypatch: pytest.MonkeyPatch) -> tuple[HandConst
 @pytest.mark.parametrize("hand", [*packaged_hands(), *SEEDS])
 def test_every_constant_that_kernels_see_is_what_was_packed(hand: str | int, monkeypatch: pytest.MonkeyPatch) -> None:
     model = random_hand(hand) if isinstance(hand, int) else HandModel.of(load_hand(hand), Gains(), 200.0)
-    found, values = packed(model, monkeypatch)
+    found, values = packed_constants(model, monkeypatch)
     assert values.keys() == set(names_of(HAND.fields)), "every field is packed"
     assert not found.block.flags.writeable
     seen = interpreted(constant_tables)(found.block, found.layout.places)

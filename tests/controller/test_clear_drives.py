@@ -14,7 +14,7 @@ CLEAR = '{"do": "clear"}'
 
 
 @pytest.fixture
-def orphaned() -> Bench:
+def hand_after_crash() -> Bench:
     """Return a hand whose last controller died while the hand was armed."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     for motor in run.peer.motors:
@@ -22,34 +22,47 @@ def orphaned() -> Bench:
     return run
 
 
-def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(orphaned: Bench) -> None:
-    orphaned.until(Mode.DONE)
-    assert Mode.ARMING not in orphaned.modes
-    assert "communication lost" in orphaned.state.failure
-    assert "--clear" in orphaned.state.failure
-    assert [motor.nibble for motor in orphaned.peer.motors] == [COMMUNICATION_LOST] * 4
+def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(
+    hand_after_crash: Bench,
+) -> None:
+    hand_after_crash.until(Mode.DONE)
+    assert Mode.ARMING not in hand_after_crash.modes
+    assert "communication lost" in hand_after_crash.state.failure
+    assert "--clear" in hand_after_crash.state.failure
+    assert [motor.nibble for motor in hand_after_crash.peer.motors] == [COMMUNICATION_LOST] * 4
 
 
-def test_with_the_order_the_drives_are_cleared_configured_and_armed(orphaned: Bench) -> None:
-    orphaned.tick(CLEAR)
-    orphaned.until(Mode.ACTIVE)
-    assert orphaned.modes == [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE]
-    assert orphaned.state.failure == ""
+def test_with_the_order_the_drives_are_cleared_configured_and_armed(
+    hand_after_crash: Bench,
+) -> None:
+    hand_after_crash.tick(CLEAR)
+    hand_after_crash.until(Mode.ACTIVE)
+    assert hand_after_crash.modes == [
+        Mode.SILENT,
+        Mode.INVENTORY,
+        Mode.READY,
+        Mode.ARMING,
+        Mode.ACTIVE,
+    ]
+    assert hand_after_crash.state.failure == ""
 
 
-def test_clear_before_arming_does_not_clear_later_errors(orphaned: Bench) -> None:
-    orphaned.tick(CLEAR)
-    orphaned.until(Mode.ACTIVE)
-    orphaned.run(0.5)
-    orphaned.peer.motors[1].nibble = COMMUNICATION_LOST
-    orphaned.until(Mode.DONE)
-    assert "N08" in orphaned.state.failure
-    assert orphaned.peer.motors[1].nibble == COMMUNICATION_LOST
+def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: Bench) -> None:
+    hand_after_crash.tick(CLEAR)
+    hand_after_crash.until(Mode.ACTIVE)
+    hand_after_crash.run(0.5)
+    hand_after_crash.peer.motors[1].nibble = COMMUNICATION_LOST
+    hand_after_crash.until(Mode.DONE)
+    assert "N08" in hand_after_crash.state.failure
+    assert hand_after_crash.peer.motors[1].nibble == COMMUNICATION_LOST
 
 
-def test_a_drive_that_does_not_clear_is_refused_in_time(orphaned: Bench) -> None:
-    orphaned.peer.motors[2].deaf = {0xFB}
-    orphaned.tick(CLEAR)
-    orphaned.until(Mode.DONE)
-    assert orphaned.state.failure == "no answer from ring_motor (or an error that does not clear)"
-    assert Mode.ARMING not in orphaned.modes
+def test_a_drive_that_does_not_clear_is_refused_in_time(hand_after_crash: Bench) -> None:
+    hand_after_crash.peer.motors[2].deaf = {0xFB}
+    hand_after_crash.tick(CLEAR)
+    hand_after_crash.until(Mode.DONE)
+    assert (
+        hand_after_crash.state.failure
+        == "no answer from ring_motor (or an error that does not clear)"
+    )
+    assert Mode.ARMING not in hand_after_crash.modes

@@ -24,7 +24,7 @@ from handctl.programs.commission import (
 )
 from handctl.programs.program import Progress
 from tests.controller.bench import Bench, bench
-from tests.controller.synthetic import nothing_read, slack, under
+from tests.controller.synthetic import empty_readings, estimate_under_tension, slack
 from tests.hand.many import fifteen_motors
 
 
@@ -50,7 +50,7 @@ def good(model: HandModel) -> Cells:
     return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_N, 0.0)
 
 
-def commissioned(
+def run_commissioning(
     model: HandModel,
     cells: Cells,
     noise: float = 0.2,
@@ -73,12 +73,12 @@ def commissioned(
         tension = cells(i if pulled else -1) + BIAS_N + walked + noise * rng.normal(size=n)
         travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
-        measured = nothing_read(model)._replace(travel=travel, tension=shown)
+        measured = empty_readings(model)._replace(travel=travel, tension=shown)
         if rng.random() < loss:
-            measured = nothing_read(model)
+            measured = empty_readings(model)
         estimate = slack(model)
         if pulled and i != never and k * model.period - progress.since > 0.2:
-            estimate = under(model, PULL_N)
+            estimate = estimate_under_tension(model, PULL_N)
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
         if pulled and not progress.finished and progress.phase.startswith("pull"):
             pulls = [d for d, goal in enumerate(progress.goals) if goal.kind != Kind.LIMP]
@@ -94,7 +94,7 @@ def commissioned(
 
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_tares_and_zeros_are_found(model: HandModel, loss: float) -> None:
-    progress = commissioned(model, good(model), loss=loss)
+    progress = run_commissioning(model, good(model), loss=loss)
     assert not progress.failure
     found = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
     np.testing.assert_allclose(found.tare(model.hand), BIAS_N, atol=0.15)
@@ -106,7 +106,7 @@ def test_tares_and_zeros_are_found(model: HandModel, loss: float) -> None:
 
 
 def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
-    progress = commissioned(model, good(model), never=1)
+    progress = run_commissioning(model, good(model), never=1)
     assert progress.failure.startswith(model.hand.tendon_names[1])
     assert "taut" in progress.failure
     assert {goal.kind for goal in progress.goals} == {Kind.LIMP}, "let go"
@@ -115,7 +115,7 @@ def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
 def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
     last = model.tendon_count - 1
     cells = good(model)
-    progress = commissioned(model, lambda i: cells(i) * (i != last))
+    progress = run_commissioning(model, lambda i: cells(i) * (i != last))
     assert progress.failure.startswith(model.hand.tendon_names[last])
     assert "answers" in progress.failure
 
@@ -129,7 +129,7 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
             tension[0] = 0.5 * PULL_N
         return tension
 
-    progress = commissioned(model, cells)
+    progress = run_commissioning(model, cells)
     assert progress.failure.startswith(model.hand.tendon_names[1])
     assert "another load cell" in progress.failure
 
@@ -142,7 +142,7 @@ def fifteen() -> HandModel:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fifteen: HandModel, seed: int) -> None:
     """The drift is twice that of the packaged hands: 0.9 N rms at the end, the limit of crosstalk."""
-    progress = commissioned(fifteen, good(fifteen), drift=2.0, seed=seed)
+    progress = run_commissioning(fifteen, good(fifteen), drift=2.0, seed=seed)
     assert not progress.failure
     found = calibration_of_result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
     assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_N
@@ -157,7 +157,7 @@ def test_a_tare_is_of_the_moment_before_its_pull(jamia: HandModel) -> None:
         drifted[0] += 0.1 * jamia.period
         return good(jamia)(i) + drifted[0]
 
-    progress = commissioned(jamia, cells, noise=0.0)
+    progress = run_commissioning(jamia, cells, noise=0.0)
     assert not progress.failure
     tare = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand) - BIAS_N
     assert np.diff(tare) == pytest.approx(np.full(3, np.diff(tare).mean()), abs=0.01), "each a pull later than the last"
@@ -170,7 +170,7 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen: HandModel) -> None:
         tension[2] += 0.6 * PULL_N * (i == 9)
         return tension
 
-    progress = commissioned(fifteen, cells, drift=1.0)
+    progress = run_commissioning(fifteen, cells, drift=1.0)
     assert progress.failure.startswith(fifteen.hand.tendon_names[9])
     assert "another load cell" in progress.failure
 
@@ -183,7 +183,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
         held[:] = np.maximum(held - 2.0 * jamia.period, PULL_N * (np.arange(jamia.tendon_count) == i))
         return held.copy()
 
-    progress = commissioned(jamia, cells)
+    progress = run_commissioning(jamia, cells)
     assert not progress.failure
     found = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tendon
     assert max(row.crosstalk_N for row in found.values()) < 0.5
@@ -195,13 +195,13 @@ def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia:
     def cells(i: int) -> np.ndarray:
         return good(jamia)(i) - 0.5 * PULL_N * (i == 2) * (np.arange(jamia.tendon_count) == 0)
 
-    progress = commissioned(jamia, cells)
+    progress = run_commissioning(jamia, cells)
     assert progress.failure.startswith(jamia.hand.tendon_names[2])
     assert "another load cell" in progress.failure
 
 
 def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
-    progress = commissioned(model, lambda i: -good(model)(i))
+    progress = run_commissioning(model, lambda i: -good(model)(i))
     assert progress.failure.startswith(model.hand.tendon_names[0])
 
 
@@ -246,7 +246,9 @@ def test_a_tare_leaves_room_to_either_end_of_the_range(model: HandModel, tare: f
         tension[1] += 3.95
         return tension
 
-    progress = commissioned(model, cells, noise=0.0) if refused else tared(model, cells)
+    progress = (
+        run_commissioning(model, cells, noise=0.0) if refused else program_after_tare(model, cells)
+    )
     assert progress.failure == (
         f"{model.hand.tendon_names[0]}: load cell reads {tare:.1f} N without tension, which can be tared from -4 to 6 N"
         if refused
@@ -254,11 +256,11 @@ def test_a_tare_leaves_room_to_either_end_of_the_range(model: HandModel, tare: f
     )
 
 
-def tared(model: HandModel, cells: Cells) -> Progress:
+def program_after_tare(model: HandModel, cells: Cells) -> Progress:
     """Return the program after its tare."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:
-        measured = nothing_read(model)._replace(tension=cells(-1) + BIAS_N)
+        measured = empty_readings(model)._replace(tension=cells(-1) + BIAS_N)
         progress, _ = program.advance(model, progress, slack(model), measured, k * model.period)
         k += 1
     return progress
@@ -295,7 +297,9 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
 
 @pytest.fixture
 def calibration(model: HandModel) -> Calibration:
-    return calibration_of_result(model, commissioned(model, good(model)), "2024-01-01T00:00:00+00:00")
+    return calibration_of_result(
+        model, run_commissioning(model, good(model)), "2024-01-01T00:00:00+00:00"
+    )
 
 
 def test_the_file_is_read_back_as_it_was_written(model: HandModel, calibration: Calibration, tmp_path) -> None:  # type: ignore[no-untyped-def]
@@ -315,7 +319,9 @@ def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
     from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"
-    found = calibration_of_result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00")
+    found = calibration_of_result(
+        jamia, run_commissioning(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"
+    )
     write_calibration(path, found)
     with pytest.raises(ConfigError, match="handctl commission again"):
         load_calibration(path, jamia11.hand)
@@ -331,7 +337,12 @@ def test_a_tare_that_hides_an_end_of_the_range_is_refused(jamia: HandModel, tmp_
     from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"
-    write_calibration(path, calibration_of_result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"))
+    write_calibration(
+        path,
+        calibration_of_result(
+            jamia, run_commissioning(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"
+        ),
+    )
     path.write_text(re.sub(r"tare_N = .*", f"tare_N = {tare}", path.read_text(), count=1))
     if right:
         assert load_calibration(path, jamia.hand).tare(jamia.hand)[0] == float(tare)

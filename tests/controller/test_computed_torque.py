@@ -16,9 +16,16 @@ from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel, _torque_limit
 from handctl.hand.load import load_hand
 from handctl.safety.action import Action
-from tests.controller.goals import holding, moving
-from tests.controller.law_runs import LawState, commanded, step
-from tests.controller.synthetic import Estimate, at_rest, efficiency, known, load_statics, written
+from tests.controller.goals import holding_goals, moving_goals
+from tests.controller.law_runs import LawState, run_control_law, step
+from tests.controller.synthetic import (
+    Estimate,
+    balanced_state,
+    efficiency,
+    exact_estimate,
+    load_statics,
+    state_with_estimate,
+)
 
 
 @pytest.mark.parametrize("gain", [None, 0.5, 1.0, 1.7])
@@ -45,7 +52,9 @@ def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, j
     n = jamia.tendon_count
     column = st.lists(number, min_size=n, max_size=n).map(np.array)
     names = ("tension", "travel", "speed", "excursion", "rate", "disturbance", "external", "offset")
-    estimate = known(jamia, np.zeros((n, STATES)))._replace(**{name: data.draw(column) for name in names})
+    estimate = exact_estimate(jamia, np.zeros((n, STATES)))._replace(
+        **{name: data.draw(column) for name in names}
+    )
     estimate = estimate._replace(slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n))))
     state = LawState(*(data.draw(column) for _ in range(5)))
     angle = st.floats(-0.5, 2.6)
@@ -82,60 +91,75 @@ def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, j
 
 
 def test_from_motion_to_tension_without_a_bump(model: HandModel) -> None:
-    x = at_rest(model, 0.8)
-    estimate = known(model, x)
-    law, moved = step(model, LawState.initial(len(x)), estimate, moving(model, 0.2, 0.8, 1.0), 2.0)
+    x = balanced_state(model, 0.8)
+    estimate = exact_estimate(model, x)
+    law, moved = step(
+        model, LawState.initial(len(x)), estimate, moving_goals(model, 0.2, 0.8, 1.0), 2.0
+    )
     np.testing.assert_allclose(law.setpoint, estimate.tension, err_msg="ready to hold what is there")
     for tension in (0.0, 30.0):
-        _, held = step(model, law, estimate, holding(model, tension), 2.0 + model.period)
+        _, held = step(model, law, estimate, holding_goals(model, tension), 2.0 + model.period)
         force = (held.torque - moved.torque) / model.space.spool
         assert np.abs(force).max() < 2.5 * 200.0 * model.period + 0.2, "one step of the ramp, times the gain"
 
 
 def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: HandModel) -> None:
-    x = at_rest(model, 0.8)
-    estimate = known(model, x)
+    x = balanced_state(model, 0.8)
+    estimate = exact_estimate(model, x)
     law, command = step(model, LawState.initial(len(x)), estimate, (DigitGoal(),) * len(model.digits), 0.0)
     assert not command.torque.any()
-    after, _ = step(model, law, estimate, holding(model, 0.0, rate=10.0), model.period)
+    after, _ = step(model, law, estimate, holding_goals(model, 0.0, rate=10.0), model.period)
     np.testing.assert_allclose(after.setpoint, estimate.tension - 10.0 * model.period)
 
 
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
     """Regression case: a silent load cell must not cause integrator windup."""
     law = LawState.initial(model.tendon_count)
-    silent = known(model, np.zeros((model.tendon_count, STATES)))
+    silent = exact_estimate(model, np.zeros((model.tendon_count, STATES)))
     for k in range(300):
-        law, command = step(model, law, silent, holding(model, 50.0, limit=12.0), k * model.period)
+        law, command = step(
+            model, law, silent, holding_goals(model, 50.0, limit=12.0), k * model.period
+        )
         assert (np.abs(command.torque) <= 12.0 * model.space.spool * (1 + 1e-12)).all()
     np.testing.assert_allclose(command.torque, 12.0 * model.space.spool)
 
 
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
     law = LawState.initial(model.tendon_count)
-    slack = known(model, np.zeros((model.tendon_count, STATES)))._replace(slack=np.ones(model.tendon_count, dtype=bool))
+    slack = exact_estimate(model, np.zeros((model.tendon_count, STATES)))._replace(
+        slack=np.ones(model.tendon_count, dtype=bool)
+    )
     for k in range(50):
-        law, _ = step(model, law, slack, holding(model, 20.0), k * model.period)
+        law, _ = step(model, law, slack, holding_goals(model, 20.0), k * model.period)
     assert not law.integral.any()
-    law, _ = step(model, law, slack._replace(slack=~slack.slack), holding(model, 20.0), 0.0)
+    law, _ = step(model, law, slack._replace(slack=~slack.slack), holding_goals(model, 20.0), 0.0)
     assert (law.integral > 0).all()
 
 
 def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
     """Even with a soft loop, a commanded tension of 3 N must make the tendon taut."""
     law = LawState.idle(np.zeros(model.tendon_count))
-    loose = known(model, np.zeros((model.tendon_count, STATES)))._replace(slack=np.ones(model.tendon_count, dtype=bool))
+    loose = exact_estimate(model, np.zeros((model.tendon_count, STATES)))._replace(
+        slack=np.ones(model.tendon_count, dtype=bool)
+    )
     for k in range(round(0.1 / model.period)):
-        law, command = step(model, law, loose, holding(model, 3.0), k * model.period)
+        law, command = step(model, law, loose, holding_goals(model, 3.0), k * model.period)
     assert (command.torque / model.space.spool > model.space.coulomb + 2.0).all()
-    _, command = step(model, LawState.idle(np.zeros(model.tendon_count)), loose, holding(model, 0.0), 0.0)
+    _, command = step(
+        model, LawState.idle(np.zeros(model.tendon_count)), loose, holding_goals(model, 0.0), 0.0
+    )
     assert not command.torque.any(), "nothing is wound for nothing"
 
 
 def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
-    law, estimate = LawState.initial(model.tendon_count), known(model, at_rest(model, 0.5))
+    law, estimate = (
+        LawState.initial(model.tendon_count),
+        exact_estimate(model, balanced_state(model, 0.5)),
+    )
     for k in range(3000):
-        law, command = step(model, law, estimate, holding(model, 5000.0, rate=5000.0), k * model.period)
+        law, command = step(
+            model, law, estimate, holding_goals(model, 5000.0, rate=5000.0), k * model.period
+        )
     np.testing.assert_array_equal(law.setpoint, model.ceiling)
     np.testing.assert_array_equal(command.tension, model.ceiling)
     assert (law.integral == INTEGRAL_LIMIT_N).all()
@@ -158,7 +182,9 @@ class Plant:
 
     def tick(self, goals: tuple[DigitGoal, ...], k: int) -> None:
         model, space = self.model, self.model.space
-        self.law, self.command = step(model, self.law, known(model, self.x), goals, k * model.period)
+        self.law, self.command = step(
+            model, self.law, exact_estimate(model, self.x), goals, k * model.period
+        )
         force, dt = self.command.torque / space.spool, model.period / self.STEPS
         sliding = self.x.copy()
         sliding[:, V] = 1.0
@@ -181,7 +207,7 @@ class Plant:
             self.x[:, one] = value
 
     def angles(self) -> np.ndarray:
-        return known(self.model, self.x).q
+        return exact_estimate(self.model, self.x).q
 
 
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
@@ -191,10 +217,12 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
     space, dt = model.space, model.period / 400
     errors, naive = [], []
     for _ in range(50):
-        x = at_rest(model, 0.5)
+        x = balanced_state(model, 0.5)
         x[:, V] = rng.uniform(-0.01, 0.01, n)
-        estimate = known(model, x)
-        goals = holding(model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), rate=1e6)
+        estimate = exact_estimate(model, x)
+        goals = holding_goals(
+            model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), rate=1e6
+        )
         law, command = step(model, LawState.initial(n), estimate, goals, 0.0)
         asked, v, taken = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
         for _ in range(steps):
@@ -209,7 +237,11 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
 
 
 def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
-    plant, goals, worst = Plant(jamia, at_rest(jamia, 0.1), held=False), moving(jamia, 0.1, 1.0, 0.8), 0.0
+    plant, goals, worst = (
+        Plant(jamia, balanced_state(jamia, 0.1), held=False),
+        moving_goals(jamia, 0.1, 1.0, 0.8),
+        0.0,
+    )
     for k in range(round(1.2 / jamia.period)):
         plant.tick(goals, k)
         wanted = goals[0].trajectory.at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
@@ -227,18 +259,21 @@ def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
     plant.law = LawState.idle(np.full(len(x), 10.0))
     peak = 0.0
     for k in range(round(2.0 / model.period)):
-        plant.tick(holding(model, 30.0, rate=60.0), k)
-        tension = known(model, plant.x).tension
+        plant.tick(holding_goals(model, 30.0, rate=60.0), k)
+        tension = exact_estimate(model, plant.x).tension
         peak = max(peak, float(tension.max()))
     np.testing.assert_allclose(tension, 30.0, atol=0.3)
     assert peak < 32.0
 
 
 def test_arguments_are_not_changed(model: HandModel) -> None:
-    estimate, state = known(model, at_rest(model, 0.5)), LawState.initial(model.tendon_count)
+    estimate, state = (
+        exact_estimate(model, balanced_state(model, 0.5)),
+        LawState.initial(model.tendon_count),
+    )
     before = [getattr(estimate, name).copy() for name in Estimate._fields]
-    first = step(model, state, estimate, holding(model, 20.0), 0.0)
-    second = step(model, state, estimate, holding(model, 20.0), 0.0)
+    first = step(model, state, estimate, holding_goals(model, 20.0), 0.0)
+    second = step(model, state, estimate, holding_goals(model, 20.0), 0.0)
     for name, copy in zip(Estimate._fields, before, strict=True):
         np.testing.assert_array_equal(getattr(estimate, name), copy)
     assert not state.setpoint.any()
@@ -247,13 +282,13 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
 
 @pytest.mark.parametrize("kind", [Kind.MOTION, Kind.TENSION])
 def test_a_goal_without_its_numbers_is_limp(jamia: HandModel, kind: Kind) -> None:
-    estimate = known(jamia, at_rest(jamia, 0.5))
+    estimate = exact_estimate(jamia, balanced_state(jamia, 0.5))
     _, command = step(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
     assert not command.torque.any()
-    state = written(jamia, estimate)
-    commanded(jamia, state, holding(jamia, 30.0, rate=1e6), 0.0, Action.PASS)
+    state = state_with_estimate(jamia, estimate)
+    run_control_law(jamia, state, holding_goals(jamia, 30.0, rate=1e6), 0.0, Action.PASS)
     assert (state.view("torque") > 0.0).all()
-    commanded(jamia, state, (DigitGoal(kind),) * 4, 0.0, Action.PASS)
+    run_control_law(jamia, state, (DigitGoal(kind),) * 4, 0.0, Action.PASS)
     assert not state.view("torque").any(), "whatever was there before"
 
 
@@ -262,9 +297,9 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     none = {"inertia_share": 0.0, "friction_share": 0.0, "disturbance_rejection": 0.0, "tension_feedback": 0.0}
     gains = Gains(motion=MotionGains(**none))
     bare = replace(model, gains=gains, inverse=lambda digit, *way: (0.0,) * digit.joint_count)
-    x = at_rest(model, 0.5)
-    goals = moving(model, 0.2, 0.8, 0.4)
-    _, command = step(bare, LawState.initial(len(x)), known(model, x), goals, 0.13)
+    x = balanced_state(model, 0.5)
+    goals = moving_goals(model, 0.2, 0.8, 0.4)
+    _, command = step(bare, LawState.initial(len(x)), exact_estimate(model, x), goals, 0.13)
     np.testing.assert_allclose(command.tension, model.floor)
     q, dq = command.q, command.dq
     excursion, rate = model.hand.moment_arms @ q - x[:, S], model.hand.moment_arms @ dq - x[:, V]
@@ -276,24 +311,31 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
 
 def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None:
     """Winding with developed friction, the tension changes as the plan's; the cable's speed decides, not the plan's."""
-    x = at_rest(model, 0.5)
+    x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1
-    estimate, goals, law = known(model, x), moving(model, 0.2, 0.8, 0.4), LawState.initial(model.tendon_count)
+    estimate, goals, law = (
+        exact_estimate(model, x),
+        moving_goals(model, 0.2, 0.8, 0.4),
+        LawState.initial(model.tendon_count),
+    )
     law, first = step(model, law, estimate, goals, 0.2)
     assert not law.rate.any(), "nothing was planned before"
     law, second = step(model, law, estimate, goals, 0.2 + model.period)
     np.testing.assert_allclose(law.rate, (second.tension - first.tension) / model.period, rtol=0.1)
     assert law.rate.any()
-    law, _ = step(model, law, estimate, holding(model, 20.0), 0.3)
+    law, _ = step(model, law, estimate, holding_goals(model, 20.0), 0.3)
     assert not law.rate.any()
     assert not law.planned.any()
 
 
 def test_a_plan_that_turns_before_the_tendon_does_changes_nothing_yet(model: HandModel) -> None:
-    x = at_rest(model, 0.5)
+    x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1
-    estimate, law = known(model, x), LawState.initial(model.tendon_count)
-    for t, goals in ((0.2, moving(model, 0.2, 0.8, 0.4)), (0.1, moving(model, 0.5, 0.0, 0.4))):
+    estimate, law = exact_estimate(model, x), LawState.initial(model.tendon_count)
+    for t, goals in (
+        (0.2, moving_goals(model, 0.2, 0.8, 0.4)),
+        (0.1, moving_goals(model, 0.5, 0.0, 0.4)),
+    ):
         law, _ = step(model, law, estimate, goals, t)
     there, _ = step(model, law, estimate, goals, 0.1 + model.period)
     assert np.abs((there.planned - law.planned) / law.planned).max() < 0.05, "still the friction of a winding cable"

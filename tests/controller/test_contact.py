@@ -16,7 +16,7 @@ from handctl.core.model import HandModel
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from tests.controller.plant_run import model_of, run_on_plant
-from tests.controller.synthetic import at_rest, blank, concluded, constant_tables_of, known
+from tests.controller.synthetic import active_state, balanced_state, constant_tables_of, detect_contacts, exact_estimate
 
 WALL = """name = "wall"
 [object]
@@ -87,37 +87,44 @@ def test_ten_minutes_of_free_motion_have_no_contact(hand: str, tmp_path: Path) -
     assert alarms == [0] * 10
 
 
-def feel(model: HandModel, force: float, ticks: int = 1, closing: int = 1, **remembered: float) -> State:
+def closing_hand(
+    model: HandModel, force: float, ticks: int = 1, closing: int = 1, **remembered: float
+) -> State:
     """A hand whose first digit, or more, closes with a force at the tips [N]; what was felt so far by its names."""
-    state, unit = blank(model), known(model, at_rest(model, 0.3))._replace(external=np.ones(model.tendon_count))
+    state, unit = (
+        active_state(model),
+        exact_estimate(model, balanced_state(model, 0.3))._replace(
+            external=np.ones(model.tendon_count)
+        ),
+    )
     state.view("closing")[...] = 1
-    concluded(model, state, unit)
+    detect_contacts(model, state, unit)
     each = force / (state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION])
     for name, value in remembered.items():
         state.view(name)[...] = value
     state.view("closing")[closing:] = 0
     for _ in range(ticks):
-        concluded(model, state, unit._replace(external=each[list(model.digit_of)]))
+        detect_contacts(model, state, unit._replace(external=each[list(model.digit_of)]))
     return state
 
 
 def test_a_force_that_was_below_zero_all_along_counts_from_there(jamia: HandModel) -> None:
     """Near the end of its motion the thumb's force estimate is 0.35 N too low, and the contact reaches only 0.2 N."""
     for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
-        state = feel(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
+        state = closing_hand(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
         assert state.view("grown")[0] == pytest.approx(counts)
 
 
 def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
     """A load cell has drifted by 0.5 N in half a minute."""
     for drift, counts in ((0.2, 0.15), (-0.2, 0.35)):
-        state = feel(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
+        state = closing_hand(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
         assert state.view("grown")[0] == pytest.approx(counts)
 
 
 def test_a_mean_follows_in_its_time_while_a_digit_closes(jamia: HandModel) -> None:
     """The mean forgets the forces of other digits, except the drift of their load cells."""
-    state = feel(jamia, 0.0, round(MEAN_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
+    state = closing_hand(jamia, 0.0, round(MEAN_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
     assert state.view("usual")[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)
     assert state.view("drift")[0] == pytest.approx(-0.3 * math.exp(-MEAN_S / DRIFT_S), rel=1e-6)
     assert np.isnan(state.view("usual")[1:]).all()

@@ -14,14 +14,14 @@ from handctl.core.law.computed_torque import HOLD_MARGIN_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.safety.action import Action
-from tests.controller.goals import holding, moving
+from tests.controller.goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, limit_of, step
-from tests.controller.synthetic import blank, under
+from tests.controller.synthetic import active_state, estimate_under_tension
 
 
 def limit_at(model: HandModel, temperatures: tuple[float, ...]) -> np.ndarray:
     """Return the tension limits (N,) of drives at given temperatures [degC], in N, infinite if no drive is warm."""
-    state = blank(model)
+    state = active_state(model)
     state.view("temperature")[...] = temperatures
     return limit_of(model, state)
 
@@ -43,21 +43,28 @@ def test_a_cool_hand_is_not_restrained(jamia: HandModel, temperatures: tuple[flo
 
 
 def test_neither_loop_asks_for_more_than_is_allowed(jamia: HandModel) -> None:
-    most, estimate = np.array([9.0, 140.0, 140.0, 12.0]), under(jamia, 20.0)
+    most, estimate = np.array([9.0, 140.0, 140.0, 12.0]), estimate_under_tension(jamia, 20.0)
     state = LawState.idle(estimate.tension)
     for _ in range(200):
-        state, command = step(jamia, state, estimate, holding(jamia, 60.0), 0.0, most)
+        state, command = step(jamia, state, estimate, holding_goals(jamia, 60.0), 0.0, most)
     assert command.tension.tolist() == pytest.approx([9.0, 60.0, 60.0, 12.0], abs=1e-9)
     force = command.torque / jamia.space.spool
     assert (force <= most + jamia.space.coulomb + 1e-9).all()
     assert force[1] > 30.0
-    _, command = step(jamia, LawState.idle(estimate.tension), estimate, moving(jamia, 1.0, 1.0, 1.0), 2.0, most)
+    _, command = step(
+        jamia,
+        LawState.idle(estimate.tension),
+        estimate,
+        moving_goals(jamia, 1.0, 1.0, 1.0),
+        2.0,
+        most,
+    )
     assert command.tension[0] <= 9.0 + 1e-9
     assert (command.torque / jamia.space.spool <= most + jamia.space.coulomb + 1e-9).all()
 
 
 def test_where_time_stands_still_the_goal_has_no_speed(jamia: HandModel) -> None:
-    estimate, goals = under(jamia, 20.0), moving(jamia, 0.0, 1.5, 1.0)
+    estimate, goals = estimate_under_tension(jamia, 20.0), moving_goals(jamia, 0.0, 1.5, 1.0)
     law, held = step(jamia, LawState.idle(estimate.tension), estimate, goals, 0.5, None, np.full(4, 300.0))
     _, going = step(jamia, LawState.idle(estimate.tension), estimate, goals, 0.5)
     assert held.q.tolist() == going.q.tolist()
@@ -67,7 +74,7 @@ def test_where_time_stands_still_the_goal_has_no_speed(jamia: HandModel) -> None
 
 
 @pytest.fixture(scope="module")
-def course():
+def warm_grasp():
     """Return a hand with MIT drives that holds a cylinder."""
     with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as begun:
         advance_to(begun, GRASP)
@@ -75,25 +82,25 @@ def course():
         yield begun
 
 
-def test_a_warm_drive_pulls_less_and_the_others_as_before(course) -> None:
+def test_a_warm_drive_pulls_less_and_the_others_as_before(warm_grasp) -> None:
     """At 84 degC, between 70 and 85, one fifteenth of the range is left: 14 N instead of 24 N."""
-    before = course.peer.truth()["tension"]
-    course.peer.inject("hot node=index_motor size=84 for=800ms")
+    before = warm_grasp.peer.truth()["tension"]
+    warm_grasp.peer.inject("hot node=index_motor size=84 for=800ms")
     events = []
     for _ in range(190):
-        events += course.tick().events
-    after = course.peer.truth()["tension"]
+        events += warm_grasp.tick().events
+    after = warm_grasp.peer.truth()["tension"]
     assert min(before) > 20.0
-    assert after[0] < 14.0 + 2.0 * course.controller.model.space.coulomb[0]
+    assert after[0] < 14.0 + 2.0 * warm_grasp.controller.model.space.coulomb[0]
     assert min(after[1:]) > 20.0
     assert any(event.text.startswith("N09a") for event in events)
-    assert course.out.mode == Mode.ACTIVE
+    assert warm_grasp.out.mode == Mode.ACTIVE
 
 
-def test_while_safety_holds_no_tension_grows(course) -> None:
+def test_while_safety_holds_no_tension_grows(warm_grasp) -> None:
     """The limit is the tension at the start of the HOLD, and it ends with the HOLD."""
-    state, controller = course.state.copy(), course.controller
-    tension = np.array(course.peer.truth()["tension"])
+    state, controller = warm_grasp.state.copy(), warm_grasp.controller
+    tension = np.array(warm_grasp.peer.truth()["tension"])
 
     def restrained(before: State, action: Action, tension: np.ndarray, mode: Mode = Mode.ACTIVE) -> State:
         after = before.copy()
@@ -113,17 +120,17 @@ def test_while_safety_holds_no_tension_grows(course) -> None:
     assert not restrained(again, Action.HOLD, tension, Mode.RELAX).whole(s.HOLDING)
 
 
-def test_a_hold_keeps_the_hand_as_it_is(course) -> None:
+def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     """More than 20 lost replies of 100 hold the hand until replies arrive again. The control law reports the hold."""
-    course.peer.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
-    before, seen = course.peer.truth()["tension"], []
+    warm_grasp.peer.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
+    before, seen = warm_grasp.peer.truth()["tension"], []
     for _ in range(300):
-        out = course.tick()
-        seen.append((out.action, bool(course.state.whole(s.HOLDING))))
+        out = warm_grasp.tick()
+        seen.append((out.action, bool(warm_grasp.state.whole(s.HOLDING))))
         if out.mode != Mode.ACTIVE:
             break
     held = [kept for action, kept in seen if action == Action.HOLD]
     assert held
     assert all(held)
     assert not any(kept for action, kept in seen if action < Action.HOLD)
-    assert max(course.peer.truth()["tension"]) < max(before) + 5.0
+    assert max(warm_grasp.peer.truth()["tension"]) < max(before) + 5.0

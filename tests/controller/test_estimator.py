@@ -7,15 +7,24 @@ from handctl.core.estimation.filter_stack import STATES, O, Regime, S, W, X
 from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from tests.controller.filter_runs import FilterState, all_in, nowhere, readings, resting, start, step, tick
+from tests.controller.filter_runs import (
+    FilterState,
+    all_in_regime,
+    no_contact,
+    noiseless_readings,
+    start,
+    state_at_rest,
+    step,
+    tick,
+)
 from tests.controller.oracle import SCALE
-from tests.controller.synthetic import Readings, blank, constants, load_statics, nothing_read
+from tests.controller.synthetic import Readings, active_state, constants, empty_readings, load_statics
 
 
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:
-    x, force = resting(model, 25.0, 0.6)
-    state = all_in(model, Regime.FREE, x)
-    after, estimate = step(model, state, nothing_read(model), force, nowhere(model))
+    x, force = state_at_rest(model, 25.0, 0.6)
+    state = all_in_regime(model, Regime.FREE, x)
+    after, estimate = step(model, state, empty_readings(model), force, no_contact(model))
     for i, row in enumerate(after.x.reshape(-1, STATES)):
         block = model.filter.blocks[i][Regime.FREE]
         np.testing.assert_allclose(row / SCALE, (block.F @ x[i] + block.B @ [force[i], 0.0]) / SCALE, atol=1e-9)
@@ -25,11 +34,14 @@ def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> N
 
 
 def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) -> None:
-    x, force = resting(model, 25.0, 0.6)
-    whole = readings(model, x, np.full(len(x), 26.0))
+    x, force = state_at_rest(model, 25.0, 0.6)
+    whole = noiseless_readings(model, x, np.full(len(x), 26.0))
     holed = whole._replace(tension=whole.tension.copy())
     holed.tension[1] = np.nan
-    results = [step(model, all_in(model, Regime.FREE, x), m, force, nowhere(model))[0].x for m in (whole, holed)]
+    results = [
+        step(model, all_in_regime(model, Regime.FREE, x), m, force, no_contact(model))[0].x
+        for m in (whole, holed)
+    ]
     changed = np.abs(results[0] - results[1]).reshape(-1, STATES).max(axis=1) > 1e-12
     tendons = next(s for s in model.digit_tendons if s.start <= 1 < s.stop)
     assert changed[1]
@@ -39,7 +51,9 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
 def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     n = model.tendon_count
     travel, cell = np.linspace(-3e-3, 2e-3, n), np.zeros(n)
-    state, estimate = step(model, FilterState.initial(n), readings_of(model, travel, cell), cell, nowhere(model))
+    state, estimate = step(
+        model, FilterState.initial(n), readings_of(model, travel, cell), cell, no_contact(model)
+    )
     assert not state.started, "not by itself"
     for unknown in (estimate.innovation, estimate.nis):
         assert unknown.shape == (n,)
@@ -50,13 +64,13 @@ def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     assert not start(model, state, travel, cells=False).started
     state = start(model, state, travel)
     assert state.started
-    state, estimate = step(model, state, readings_of(model, partial, cell), cell, nowhere(model))
+    state, estimate = step(model, state, readings_of(model, partial, cell), cell, no_contact(model))
     np.testing.assert_allclose(estimate.travel, travel, atol=1e-6)
     np.testing.assert_allclose(estimate.tension, 0.0, atol=1e-9)
 
 
 def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Readings:
-    return nothing_read(model)._replace(travel=travel, tension=cell)
+    return empty_readings(model)._replace(travel=travel, tension=cell)
 
 
 def test_a_hand_that_is_under_tension_before_its_encoders_speak(model: HandModel) -> None:
@@ -64,56 +78,75 @@ def test_a_hand_that_is_under_tension_before_its_encoders_speak(model: HandModel
     n = model.tendon_count
     cell, state = np.full(n, 5.0), FilterState.initial(n)
     for _ in range(20):
-        state, _ = step(model, state, nothing_read(model)._replace(tension=cell), np.zeros(n), nowhere(model))
+        state, _ = step(
+            model,
+            state,
+            empty_readings(model)._replace(tension=cell),
+            np.zeros(n),
+            no_contact(model),
+        )
     whole = readings_of(model, np.full(n, 2e-3), cell)
     state = start(model, state, whole.travel)
     for k in range(20):
-        state, estimate = step(model, state, whole, cell, nowhere(model))
+        state, estimate = step(model, state, whole, cell, no_contact(model))
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k
 
 
-def rope(model: HandModel, cells: list[float]) -> list[set[int]]:
+def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
     """Return the regimes while the load cells read a sequence of tensions and the motor is at rest."""
     n = model.tendon_count
     x = np.zeros((n, STATES))
-    state = all_in(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
+    state = all_in_regime(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
     met = []
     for cell in cells:
-        measured = readings(model, x, np.full(n, cell))
-        state, _ = step(model, state, measured, np.full(n, max(cell, 0.0) if cell == cell else 0.0), nowhere(model))
+        measured = noiseless_readings(model, x, np.full(n, cell))
+        state, _ = step(
+            model,
+            state,
+            measured,
+            np.full(n, max(cell, 0.0) if cell == cell else 0.0),
+            no_contact(model),
+        )
         met.append(set(state.regimes))
     return met
 
 
 def test_noise_does_not_end_slack_and_tension_does(model: HandModel) -> None:
-    assert rope(model, [2.4, -2.4, 0.0, 2.4, 2.4, -0.3, 0.9, 0.6]) == [{Regime.SLACK}] * 8
-    assert rope(model, [TAUT_ABOVE_N + 0.1] * 8)[-1] == {Regime.HELD}, "taut, and the springs hold the digit open"
-    assert rope(model, [np.nan] * 20)[-1] == {Regime.SLACK}
+    assert (
+        regimes_of_readings(model, [2.4, -2.4, 0.0, 2.4, 2.4, -0.3, 0.9, 0.6])
+        == [{Regime.SLACK}] * 8
+    )
+    assert regimes_of_readings(model, [TAUT_ABOVE_N + 0.1] * 8)[-1] == {Regime.HELD}, (
+        "taut, and the springs hold the digit open"
+    )
+    assert regimes_of_readings(model, [np.nan] * 20)[-1] == {Regime.SLACK}
 
 
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
     """A tendon that is wound slowly counts as taut before its tension is five standard deviations."""
-    met = rope(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
+    met = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
     assert met[2] == {Regime.SLACK}
     assert Regime.SLACK not in met[-1]
 
 
 def test_slack_needs_a_few_ticks_in_a_row(model: HandModel) -> None:
     taut = [TAUT_ABOVE_N + 1.0] * 30
-    once = rope(model, [*taut, 0.0, *taut[:5], 0.0, *taut[:5]])
+    once = regimes_of_readings(model, [*taut, 0.0, *taut[:5], 0.0, *taut[:5]])
     assert Regime.SLACK not in set().union(*once[len(taut) :]), "one low sample is noise"
-    assert rope(model, [*taut, *[-0.5] * 60])[-1] == {Regime.SLACK}
+    assert regimes_of_readings(model, [*taut, *[-0.5] * 60])[-1] == {Regime.SLACK}
 
 
 def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) -> None:
     n = model.tendon_count
     x = np.zeros((n, STATES))
     x[:, X] = np.linspace(-2e-3, 2e-3, n)
-    state = all_in(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
+    state = all_in_regime(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
     cell = np.full(n, 4.0)
     estimates = []
     for _ in range(60):
-        state, estimate = step(model, state, readings(model, x, cell), cell, nowhere(model))
+        state, estimate = step(
+            model, state, noiseless_readings(model, x, cell), cell, no_contact(model)
+        )
         estimates.append(estimate.tension)
         assert ((np.abs(estimate.tension) < 1e-9) | (np.abs(estimate.tension - cell) < 2.0)).all(), "no overshoot"
     np.testing.assert_allclose(estimates[-1], cell, atol=0.5)
@@ -126,22 +159,28 @@ def test_a_stretch_offset_is_kept(model: HandModel) -> None:
     n = model.tendon_count
     x, cell = np.zeros((n, STATES)), np.full(n, 4.0)
     x[:, X] = 2e-3
-    state = all_in(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
+    state = all_in_regime(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
     for _ in range(round(1.5 / model.period)):
-        state, estimate = step(model, state, readings(model, x, cell), cell, nowhere(model))
+        state, estimate = step(
+            model, state, noiseless_readings(model, x, cell), cell, no_contact(model)
+        )
     np.testing.assert_allclose(estimate.excursion, 0.0, atol=2e-6)
     np.testing.assert_allclose(estimate.tension, cell, atol=0.01)
 
 
 def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
-    x, _ = resting(model, 20.0, 0.7)
+    x, _ = state_at_rest(model, 20.0, 0.7)
     n = model.tendon_count
     for _ in range(3):
         balance = load_statics(model, x, x[:, X] - x[:, S]).resistance
         x[:, X] = x[:, S] + balance / model.space.stiffness
-    measured = readings(model, x, balance)
-    free, before = step(model, all_in(model, Regime.FREE, x), measured, balance, nowhere(model))
-    held, after = step(model, all_in(model, Regime.FREE, x), measured, balance, (True,) * len(model.digits))
+    measured = noiseless_readings(model, x, balance)
+    free, before = step(
+        model, all_in_regime(model, Regime.FREE, x), measured, balance, no_contact(model)
+    )
+    held, after = step(
+        model, all_in_regime(model, Regime.FREE, x), measured, balance, (True,) * len(model.digits)
+    )
     assert set(free.regimes) == {Regime.FREE}
     assert set(held.regimes) == {Regime.HELD}
     assert np.abs(after.tension - before.tension).max() < 0.2
@@ -155,25 +194,33 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
 
 def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     """The tension of a held digit that its springs do not explain is contact."""
-    x, _ = resting(model, 20.0, 0.7)
+    x, _ = state_at_rest(model, 20.0, 0.7)
     n = model.tendon_count
     asked = load_statics(model, x, np.zeros(n)).resistance
     tension = asked + 10.0
     x[:, X] = x[:, S] + tension / model.space.stiffness
-    state = all_in(model, Regime.HELD, x)
+    state = all_in_regime(model, Regime.HELD, x)
     for _ in range(40):
-        state, estimate = step(model, state, readings(model, x, tension), tension, (True,) * len(model.digits))
+        state, estimate = step(
+            model,
+            state,
+            noiseless_readings(model, x, tension),
+            tension,
+            (True,) * len(model.digits),
+        )
     np.testing.assert_allclose(estimate.external, 10.0, atol=0.5)
     x0, rest = np.zeros((n, STATES)), np.full(n, 4.0)
     x0[:, X] = rest / model.space.stiffness
-    state = all_in(model, Regime.HELD, x0)._replace(stopped=(True,) * n)
-    state, estimate = step(model, state, readings(model, x0, rest), rest, nowhere(model))
+    state = all_in_regime(model, Regime.HELD, x0)._replace(stopped=(True,) * n)
+    state, estimate = step(
+        model, state, noiseless_readings(model, x0, rest), rest, no_contact(model)
+    )
     np.testing.assert_allclose(estimate.external, 0.0, err_msg="the open stop is no contact")
 
 
 def test_joint_encoders_tell_excursion_from_offset(jamia11: HandModel) -> None:
     """Spool and load cell measure only the sum of excursion and offset. Joint encoders separate them."""
-    x, _ = resting(jamia11, 20.0, 0.7)
+    x, _ = state_at_rest(jamia11, 20.0, 0.7)
     balance = load_statics(jamia11, x, np.zeros(len(x))).resistance
     x[:, X] = x[:, S] + balance / jamia11.space.stiffness
     ends = {}
@@ -181,9 +228,11 @@ def test_joint_encoders_tell_excursion_from_offset(jamia11: HandModel) -> None:
         wrong = x.copy()
         wrong[:, S] += 2e-5
         wrong[:, O] -= 2e-5
-        state = all_in(jamia11, Regime.HELD, wrong)
+        state = all_in_regime(jamia11, Regime.HELD, wrong)
         for k in range(500):
-            measured = readings(jamia11, x, balance, excursion=with_encoders and k % 4 == 0)
+            measured = noiseless_readings(
+                jamia11, x, balance, excursion=with_encoders and k % 4 == 0
+            )
             state, estimate = step(jamia11, state, measured, balance, (True,) * len(jamia11.digits))
         ends[with_encoders] = np.abs(estimate.excursion - x[:, S])
     assert (ends[True] < 0.35 * ends[False]).all()
@@ -191,7 +240,7 @@ def test_joint_encoders_tell_excursion_from_offset(jamia11: HandModel) -> None:
 
 def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
     """Return excursions (N,) from readings of joint encoders (J,) [rad], NaN where missing."""
-    state = blank(model)
+    state = active_state(model)
     state.mode = Mode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joints)
     state.view("joint_angle")[...] = joints
@@ -209,11 +258,14 @@ def test_unread_joints_give_no_excursion(jamia11: HandModel, jamia: HandModel) -
 
 
 def test_neither_state_nor_measurements_are_changed(model: HandModel) -> None:
-    x, force = resting(model, 25.0, 0.6)
-    state, measured = all_in(model, Regime.FREE, x), readings(model, x, np.full(len(x), 0.2))
+    x, force = state_at_rest(model, 25.0, 0.6)
+    state, measured = (
+        all_in_regime(model, Regime.FREE, x),
+        noiseless_readings(model, x, np.full(len(x), 0.2)),
+    )
     copies = [state.x.copy(), measured.travel.copy(), measured.tension.copy(), force.copy()]
-    first = step(model, state, measured, force, nowhere(model))[0]
-    second = step(model, state, measured, force, nowhere(model))[0]
+    first = step(model, state, measured, force, no_contact(model))[0]
+    second = step(model, state, measured, force, no_contact(model))[0]
     for now, before in zip((state.x, measured.travel, measured.tension, force), copies, strict=True):
         np.testing.assert_array_equal(now, before)
     np.testing.assert_array_equal(first.x, second.x)
@@ -226,7 +278,13 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
     x[:, S] = 1e-5
     cell = 0.9 * load_statics(model, x, np.zeros(len(x))).resistance
     x[:, X] = x[:, S] + cell / model.space.stiffness
-    state, _ = step(model, all_in(model, Regime.FREE, x), readings(model, x, cell), cell, nowhere(model))
+    state, _ = step(
+        model,
+        all_in_regime(model, Regime.FREE, x),
+        noiseless_readings(model, x, cell),
+        cell,
+        no_contact(model),
+    )
     assert not any(state.stopped)
 
 
@@ -236,7 +294,13 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3
     cell = np.full(len(x), 4.0)
     x[:, X] = x[:, S] + x[:, O] + cell / model.space.stiffness
-    state, estimate = step(model, all_in(model, Regime.HELD, x), readings(model, x, cell), cell, nowhere(model))
+    state, estimate = step(
+        model,
+        all_in_regime(model, Regime.HELD, x),
+        noiseless_readings(model, x, cell),
+        cell,
+        no_contact(model),
+    )
     assert all(state.stopped)
     table = state.x.reshape(-1, STATES)
     np.testing.assert_allclose(table[:, O], -2.5e-5, atol=2e-6)
@@ -246,13 +310,13 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
 
 
 def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> None:
-    x, force = resting(model, 25.0, 0.6)
-    state, none = all_in(model, Regime.FREE, x), np.zeros(model.tendon_count)
+    x, force = state_at_rest(model, 25.0, 0.6)
+    state, none = all_in_regime(model, Regime.FREE, x), np.zeros(model.tendon_count)
     found = []
     for direction in (None, 1.0, -1.0):
         known = None if direction is None else np.full(model.tendon_count, direction)
-        args = (model, state, readings(model, x, force), force, none)
-        after, estimate = tick(*args, nowhere(model), friction_state=known)
+        args = (model, state, noiseless_readings(model, x, force), force, none)
+        after, estimate = tick(*args, no_contact(model), friction_state=known)
         assert set(after.regimes) == {Regime.FREE}
         touching, other = tick(*args, (True,) * len(model.digits), friction_state=known)
         assert set(touching.regimes) == {Regime.HELD}
@@ -266,7 +330,7 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
 
 
 def test_evidence_of_slack_is_cleared_once_a_tendon_is_taut(model: HandModel) -> None:
-    x, force = resting(model, 25.0, 0.6)
-    state = all_in(model, Regime.FREE, x)._replace(turning=(1,) * model.tendon_count)
-    after, _ = step(model, state, readings(model, x, force), force, nowhere(model))
+    x, force = state_at_rest(model, 25.0, 0.6)
+    state = all_in_regime(model, Regime.FREE, x)._replace(turning=(1,) * model.tendon_count)
+    after, _ = step(model, state, noiseless_readings(model, x, force), force, no_contact(model))
     assert after.turning == (0,) * model.tendon_count

@@ -13,16 +13,25 @@ from handctl.core.estimation.kalman import _is_measurement_missing
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.load import hand_content, hand_from_content
-from tests.controller.filter_runs import all_in, corrected, nowhere, parts, readings, resting, step, tick
+from tests.controller.filter_runs import (
+    all_in_regime,
+    corrected_state,
+    no_contact,
+    noiseless_readings,
+    parts,
+    state_at_rest,
+    step,
+    tick,
+)
 from tests.controller.oracle import (
     SCALE,
     assert_same_covariance,
     assumed_measurements,
-    joseph,
+    joseph_update,
     measurement_noise,
     over_one_period,
 )
-from tests.controller.synthetic import Readings, blank, constants, interpreted, nothing_read
+from tests.controller.synthetic import Readings, active_state, constants, empty_readings, interpreted
 
 
 def plain_hand(name: str, rate_hz: float) -> HandModel:
@@ -76,8 +85,8 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing
     B = np.array([G * SCALE[:, None] for _, G, _ in parts])
     sigma = np.array([[*measurement_noise(model, i), 0.0] for i in range(n)])
     closed, free = 0.5, regime == Regime.FREE
-    truth, _ = resting(model, 40.0, closed)
-    state = all_in(model, regime, truth)
+    truth, _ = state_at_rest(model, 40.0, closed)
+    state = all_in_regime(model, regime, truth)
     contact = (not free,) * len(model.digits)
     rows: list[tuple[np.ndarray, ...]] = []
     regimes = set()
@@ -93,7 +102,7 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing
         z += sigma * rng.normal(size=(n, MEASUREMENTS))
         if missing is not None:
             z[:, :2][missing(k, rng).T] = np.nan
-        measured = nothing_read(model)._replace(travel=z[:, 0], tension=z[:, 1])
+        measured = empty_readings(model)._replace(travel=z[:, 0], tension=z[:, 1])
         state, estimate = tick(model, state, measured, force, rate, contact)
         noise = (root @ rng.normal(size=(n, STATES, 1)))[..., 0] * SCALE
         inputs = np.column_stack((force, rate))
@@ -145,13 +154,13 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 
 
 def test_the_covariance_is_carried_along_only_until_it_is_steady_again(model: HandModel) -> None:
-    x, force = resting(model, 25.0, 0.6)
-    state, sigma = all_in(model, Regime.FREE, x), []
+    x, force = state_at_rest(model, 25.0, 0.6)
+    state, sigma = all_in_regime(model, Regime.FREE, x), []
     for k in range(300):
-        measured = readings(model, x, np.full(model.tendon_count, 25.0))
+        measured = noiseless_readings(model, x, np.full(model.tendon_count, 25.0))
         if 20 <= k < 25:
             measured.travel[0] = np.nan
-        state, estimate = step(model, state, measured, force, nowhere(model))
+        state, estimate = step(model, state, measured, force, no_contact(model))
         if state.covariance is not None:
             assert k == 20 + len(sigma), "in one piece, from the first that is missing on"
             sigma.append(estimate.sigma)
@@ -174,7 +183,7 @@ def test_missing_measurement_is_detected_in_each_regime(
     z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
     if column is not None:
         z[-1, column] = np.nan
-    state = blank(model)
+    state = active_state(model)
     state.view("regime")[-1] = regime
     x = interpreted(state_tables)(state.block, state.layout.places)
     assert interpreted(_is_measurement_missing)(x, interpreted(constant_tables)(*constants(model)), z) is counts
@@ -182,9 +191,9 @@ def test_missing_measurement_is_detected_in_each_regime(
 
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
     """In a tick without encoders, the first digit gets into contact and the last one does not."""
-    x, force = resting(model, 25.0, 0.6)
-    state, touched = all_in(model, Regime.FREE, x), (True, *nowhere(model)[1:])
-    unread, none = nothing_read(model)._replace(tension=force), np.zeros(model.tendon_count)
+    x, force = state_at_rest(model, 25.0, 0.6)
+    state, touched = all_in_regime(model, Regime.FREE, x), (True, *no_contact(model)[1:])
+    unread, none = empty_readings(model)._replace(tension=force), np.zeros(model.tendon_count)
     after, _ = tick(model, state, unread, force, none, touched, missed=4)
     first, last = 0, model.tendon_count - 1
     assert (after.regimes[first], after.regimes[last]) == (int(Regime.HELD), int(Regime.FREE))
@@ -199,8 +208,11 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     answers = []
     for covariance in (after.covariance, None):
         here = after._replace(x=x.ravel(), covariance=covariance)
-        samples = (readings(model, x, force)._replace(travel=x[:, X] + way) for way in (0.0, 1e-7))
-        moved = [corrected(model, here, each).view("travel") for each in samples]
+        samples = (
+            noiseless_readings(model, x, force)._replace(travel=x[:, X] + way)
+            for way in (0.0, 1e-7)
+        )
+        moved = [corrected_state(model, here, each).view("travel") for each in samples]
         answers.append(moved[1] - moved[0])
     np.testing.assert_allclose(answers[0][first], answers[1][first], rtol=1e-6)
     assert answers[0][last] > answers[1][last], "and a reading is believed more"
@@ -221,22 +233,22 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regim
     """Compute each tendon with numpy for as long as its covariance is updated. A slack tendon has only its encoder."""
     rng, n = np.random.default_rng(9), model.tendon_count
     slack = regime == Regime.SLACK
-    x, force = resting(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
+    x, force = state_at_rest(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
     x[:, X] -= slack * 1e-3
-    state = all_in(model, regime, x)._replace(measured=(True,) * n)
+    state = all_in_regime(model, regime, x)._replace(measured=(True,) * n)
     blocks = [own[regime] for own in model.filter.blocks]
     P, compared = np.array([block.P for block in blocks]), 0
     for k in range(40):
         missing = np.broadcast_to(MISSING_SAMPLES[what](k, rng), (2, n))
         z = np.where(missing, np.nan, (x[:, X], force))
-        read = readings(model, x, z[1])._replace(travel=z[0])
+        read = noiseless_readings(model, x, z[1])._replace(travel=z[0])
         before = state
         state, _ = step(model, state, read, force, (regime == Regime.HELD,) * len(model.digits))
         assert set(state.regimes) == {regime}
         if before.covariance is None and state.covariance is None:
             continue
         for i, block in enumerate(blocks):
-            after = joseph(block, P[i], missing[:, i])[1]
+            after = joseph_update(block, P[i], missing[:, i])[1]
             P[i] = block.F @ after @ block.F.T + block.Q
         if state.covariance is None:
             P = np.array([block.P for block in blocks])
@@ -249,14 +261,19 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regim
 @pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
 def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, predicted_s: float | None) -> None:
     """The covariance grows while the motors are known to hold the last command."""
-    x, force = resting(model, 25.0, 0.6)
-    measured, none = readings(model, x, force), np.zeros(model.tendon_count)
-    state = all_in(model, Regime.FREE, x)
-    after, _ = tick(model, state, measured, force, none, nowhere(model), missed=missed)
+    x, force = state_at_rest(model, 25.0, 0.6)
+    measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
+    state = all_in_regime(model, Regime.FREE, x)
+    after, _ = tick(model, state, measured, force, none, no_contact(model), missed=missed)
     assert set(after.regimes) == {Regime.FREE}
     F, Q = (parts(model, after.regimes, name) for name in "FQ")
     read = np.zeros(2, dtype=bool)
-    P = np.array([joseph(own[Regime.FREE], own[Regime.FREE].P, read)[1] for own in model.filter.blocks])
+    P = np.array(
+        [
+            joseph_update(own[Regime.FREE], own[Regime.FREE].P, read)[1]
+            for own in model.filter.blocks
+        ]
+    )
     for _ in range(1 + (missed if predicted_s is None else round(predicted_s / model.period))):
         P = F @ P @ F.transpose(0, 2, 1) + Q
     assert after.covariance is not None
@@ -266,8 +283,8 @@ def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, pred
 def test_a_second_filter_agrees_over_gaps(model: HandModel) -> None:
     """Compute each tendon in plain loops. A missing measurement has no row in the update."""
     rng, n = np.random.default_rng(3), model.tendon_count
-    x, force = resting(model, 25.0, 0.6)
-    state, second = all_in(model, Regime.FREE, x), x.copy()
+    x, force = state_at_rest(model, 25.0, 0.6)
+    state, second = all_in_regime(model, Regime.FREE, x), x.copy()
     blocks = [blocks[Regime.FREE] for blocks in model.filter.blocks]
     P = [block.P.copy() for block in blocks]
     compared = 0
@@ -276,7 +293,9 @@ def test_a_second_filter_agrees_over_gaps(model: HandModel) -> None:
         z += rng.normal(size=(n, 3)) * [1e-7, 0.02, 1e-6]
         z[rng.random((n, 3)) < 0.15] = np.nan
         push = force + 0.1 * rng.normal(size=n)
-        state, _ = step(model, state, Readings(*z.T, nothing_read(model).joints), push, nowhere(model))
+        state, _ = step(
+            model, state, Readings(*z.T, empty_readings(model).joints), push, no_contact(model)
+        )
         if set(state.regimes) != {Regime.FREE}:
             break
         for i, block in enumerate(blocks):

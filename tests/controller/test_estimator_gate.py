@@ -9,7 +9,7 @@ from handctl.core.estimation.kalman import DOUBT_S, SLACK_LENGTH_M
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 from tests.controller.filter_runs import FilterState, parts, state_of, tick
-from tests.controller.synthetic import Estimate, nothing_read
+from tests.controller.synthetic import Estimate, empty_readings
 
 TENSION = 20.0
 
@@ -28,7 +28,9 @@ class Held:
     def sample(self, cell: float, *, saturated: tuple[int, ...] = (), travel: float = 0.0) -> Estimate:
         """Run one tick in which tendon 0 reads ``cell`` [N]."""
         model, n = self.model, self.model.tendon_count
-        read = nothing_read(model)._replace(travel=self.travel + travel, tension=np.full(n, TENSION))
+        read = empty_readings(model)._replace(
+            travel=self.travel + travel, tension=np.full(n, TENSION)
+        )
         read = read._replace(saturated=saturated)
         read.tension[0] = cell
         push, still, contact = np.full(n, TENSION), np.zeros(n), (True,) * len(model.digits)
@@ -77,7 +79,7 @@ def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
     assert not np.isnan(estimate.innovation[1:]).any()
 
 
-def rest(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
+def slack_state(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
     """Return slack tendons, with a load cell of tendon 0 that reads its error."""
     model = hand.model
     x = np.zeros((model.tendon_count, STATES))
@@ -87,7 +89,7 @@ def rest(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
     hand.state = FilterState.of(x.ravel(), Regime.SLACK, stopped=True)._replace(measured=known)
     for _ in range(round(seconds / model.period)):
         n = model.tendon_count
-        read = nothing_read(model)._replace(travel=hand.travel, tension=np.zeros(n))
+        read = empty_readings(model)._replace(travel=hand.travel, tension=np.zeros(n))
         read.tension[0] = error
         untouched = (False,) * len(model.digits)
         hand.state, estimate = tick(model, hand.state, read, np.zeros(n), np.zeros(n), untouched)
@@ -96,14 +98,14 @@ def rest(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
 
 def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> None:
     hand = Held(model)
-    told = rest(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
+    told = slack_state(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
     np.testing.assert_allclose(told.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02)
     np.testing.assert_allclose(told.tension, 0.0, atol=1e-9)
     assert hand.state.regimes == (Regime.SLACK,) * model.tendon_count
 
 
 def test_a_hardly_slack_tendon_does_not_update_the_cell_error(model: HandModel) -> None:
-    assert not rest(Held(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0).cell_error.any()
+    assert not slack_state(Held(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0).cell_error.any()
 
 
 def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> None:
@@ -137,10 +139,10 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
 @pytest.mark.parametrize(("missed", "predicted_s"), [(0, 0.0), (1, None), (4, None), (10_000, 0.05)])
 def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, predicted_s: float | None) -> None:
     """The motor force is constant for 50 ms and then unknown. The planned tension change is for one period."""
-    state, force = coasting(model)
+    state, force = winding_state(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
-    after, estimate = tick(model, state, nothing_read(model), force, rate, nowhere, missed=missed)
-    once, _ = tick(model, state, nothing_read(model), force, rate, nowhere)
+    after, estimate = tick(model, state, empty_readings(model), force, rate, nowhere, missed=missed)
+    once, _ = tick(model, state, empty_readings(model), force, rate, nowhere)
     F, B = (parts(model, once.regimes, name) for name in "FB")
     x, inputs = once.x.reshape(-1, STATES, 1), np.column_stack((force, np.zeros(model.tendon_count)))[..., None]
     for _ in range(missed if predicted_s is None else round(predicted_s / model.period)):
@@ -150,7 +152,7 @@ def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, pre
     assert after[1:5] == once[1:5], "nothing else is judged of what nobody saw"
 
 
-def coasting(model: HandModel) -> tuple[FilterState, np.ndarray]:
+def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """Return digits held half closed under 20 N with winding rotors, and the forces that balance the tension [N]."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)

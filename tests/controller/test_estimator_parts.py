@@ -26,8 +26,8 @@ from handctl.core.estimation.take_up import (
     TAUT_ABOVE_N,
 )
 from handctl.core.model import HandModel
-from tests.controller.filter_runs import FilterState, corrected, read, state_of, step, taken
-from tests.controller.synthetic import Estimate, Readings, interpreted, nothing_read
+from tests.controller.filter_runs import FilterState, corrected_state, filter_state_of, read, state_of, step
+from tests.controller.synthetic import Estimate, Readings, empty_readings, interpreted
 
 EVIDENCE = ((TAUT_ABOVE_N, POINTS_AT_ONCE), (LIKELY_ABOVE_N, POINTS_LIKELY), (POSSIBLE_ABOVE_N, POINTS_POSSIBLE))
 
@@ -41,7 +41,7 @@ def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> N
     assert not at_stop(was, 0.0, most, 10.0)
 
 
-def filtered(model: HandModel, regime: Regime, **columns: float) -> FilterState:
+def filter_state(model: HandModel, regime: Regime, **columns: float) -> FilterState:
     """Return every tendon in one regime, off its stop, with columns of the state by name."""
     x = np.zeros((model.tendon_count, STATES))
     for name, value in columns.items():
@@ -49,26 +49,28 @@ def filtered(model: HandModel, regime: Regime, **columns: float) -> FilterState:
     return FilterState.of(x.ravel(), regime, stopped=False)
 
 
-def unexplained(model: HandModel, regime: Regime, rate: float) -> np.ndarray:
+def explained_by_contact(model: HandModel, regime: Regime, rate: float) -> np.ndarray:
     """Return the part of 20 N that contact explains while the digits move at a rate [m/s], without readings."""
     stretch = (20.0 + model.space.damping * rate) / model.space.stiffness
-    state = filtered(model, regime, S=2e-3, W=rate)
+    state = filter_state(model, regime, S=2e-3, W=rate)
     x = state.x.reshape(-1, STATES).copy()
     x[:, X] = x[:, S] + stretch
-    return corrected(model, state._replace(x=x.ravel()), nothing_read(model)).view("external")
+    return corrected_state(model, state._replace(x=x.ravel()), empty_readings(model)).view(
+        "external"
+    )
 
 
 def test_damping_of_a_moving_digit_is_no_contact(model: HandModel) -> None:
-    still, moves = (unexplained(model, Regime.FREE, rate) for rate in (0.0, 0.05))
+    still, moves = (explained_by_contact(model, Regime.FREE, rate) for rate in (0.0, 0.05))
     np.testing.assert_allclose(moves - still, -0.05 * model.space.load_damping, rtol=1e-9)
     assert still.all(), "20 N are more than springs ask here"
 
 
 def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel) -> None:
-    assert not unexplained(model, Regime.SLACK, 0.0).any()
+    assert not explained_by_contact(model, Regime.SLACK, 0.0).any()
 
 
-def used(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray:
+def used_measurements(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray:
     """Return the measurements (N, 3) that the filter uses, NaN where none."""
     run = state_of(model, state)
     read(run, measured)
@@ -81,17 +83,25 @@ def test_a_tendon_hangs_loose_by_what_its_spool_is_short_of_its_digit(
 ) -> None:
     """The slack is the lag of the spool. The load cell reads its error, unless the tendon is nearly taut."""
     n = model.tendon_count
-    measured = nothing_read(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
+    measured = empty_readings(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
     for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
-        state = filtered(model, Regime.SLACK, X=x + more, S=s, O=o)._replace(measured=(True,) * n)
-        assert np.isfinite(used(model, state, measured)[:, 1]).all() == usable
-    state = filtered(model, Regime.SLACK, X=x, S=s, O=o)
-    assert np.isnan(used(model, state, measured)[:, 1]).all(), "its length is not known"
+        state = filter_state(model, Regime.SLACK, X=x + more, S=s, O=o)._replace(
+            measured=(True,) * n
+        )
+        assert np.isfinite(used_measurements(model, state, measured)[:, 1]).all() == usable
+    state = filter_state(model, Regime.SLACK, X=x, S=s, O=o)
+    assert np.isnan(used_measurements(model, state, measured)[:, 1]).all(), (
+        "its length is not known"
+    )
 
 
-def judged(model: HandModel, state: FilterState, cell: float) -> FilterState:
+def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> FilterState:
     """Return the regimes after a sample of all load cells, for free digits."""
-    return taken(corrected(model, state, nothing_read(model)._replace(tension=np.full(model.tendon_count, cell))))
+    return filter_state_of(
+        corrected_state(
+            model, state, empty_readings(model)._replace(tension=np.full(model.tendon_count, cell))
+        )
+    )
 
 
 @pytest.mark.parametrize(
@@ -103,8 +113,10 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     """Its length must be known from an earlier take-up. The count then starts again."""
     n = model.tendon_count
     above = next(above for above, worth in EVIDENCE if worth * NEAR_FACTOR >= POINTS_OF_TAUT > worth)
-    state = filtered(model, Regime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(measured=(known,) * n)
-    after = judged(model, state, above + 1e-6)
+    state = filter_state(model, Regime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(
+        measured=(known,) * n
+    )
+    after = regimes_after_sample(model, state, above + 1e-6)
     assert after.regimes == ((Regime.FREE if turns else Regime.SLACK),) * n
     assert (after.turning == (0,) * n) == turns
     assert after.measured == (known,) * n
@@ -112,15 +124,15 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 
 def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
     n = model.tendon_count
-    state = filtered(model, Regime.SLACK, S=2e-3)
+    state = filter_state(model, Regime.SLACK, S=2e-3)
     for _ in range(POINTS_OF_TAUT):
-        state = judged(model, state, EVIDENCE[0][0] + 1.0)
+        state = regimes_after_sample(model, state, EVIDENCE[0][0] + 1.0)
     assert (state.regimes, state.measured) == ((Regime.FREE,) * n, (True,) * n)
 
 
 def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: HandModel) -> None:
-    state = filtered(model, Regime.SLACK, S=1e-4)._replace(stopped=(True,) * model.tendon_count)
-    after = judged(model, state, EVIDENCE[0][0] + 1e-6)
+    state = filter_state(model, Regime.SLACK, S=1e-4)._replace(stopped=(True,) * model.tendon_count)
+    after = regimes_after_sample(model, state, EVIDENCE[0][0] + 1e-6)
     assert after.stopped == state.stopped
     assert (after.x[S::STATES] == 0.0).all()
     assert (state.x[S::STATES] == 1e-4).all(), "of the state before nothing is changed"
@@ -129,7 +141,7 @@ def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: Hand
 def test_an_estimate_tells_every_column_before_anything_was_read(model: HandModel) -> None:
     n, j = model.tendon_count, len(model.hand.joints)
     no = (False,) * len(model.digits)
-    _, estimate = step(model, FilterState.initial(n), nothing_read(model), np.zeros(n), no)
+    _, estimate = step(model, FilterState.initial(n), empty_readings(model), np.zeros(n), no)
     shapes = {name: np.shape(value) for name, value in zip(Estimate._fields, estimate, strict=True)}
     assert {name for name, shape in shapes.items() if shape == (j,)} >= {"q", "dq"}
     assert all(shape in ((n,), (j,), (len(model.digits),)) for shape in shapes.values()), shapes

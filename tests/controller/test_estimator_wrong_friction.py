@@ -18,9 +18,9 @@ from handctl.document import validate_content
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
+from tests.controller.filter_runs import all_in_regime, no_contact, noiseless_readings, state_at_rest, step
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic import blank, constants, interpreted
+from tests.controller.synthetic import active_state, constants, interpreted
 
 HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION = (0.5, 1.0, 1.5, 2.0)
@@ -38,13 +38,13 @@ MOVES = {
 seeds = pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 20))])
 
 
-def moved(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
+def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
     """Run a hand that closes and opens, with a multiple of the friction of the hand file."""
     program = TaskProgram(validate_content(MOVES, Task, "moves"))
     return run_on_plant(hand, program, None, folder, 3.0, seed, friction=friction)
 
 
-def errors(run: PlantRun) -> tuple[float, float]:
+def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
     """Return the RMSE of the present estimate and of the raw load cell [N], for taut tendons while the hand moves."""
     real, later = np.array(run.real), np.array(run.t) > LATER_S
     raw = np.array(run.cell)
@@ -61,7 +61,7 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
     hand: str, friction: float, seed: int, tmp_path: Path
 ) -> None:
     """Move freely with reversals, on plants with the friction of the file (1.0) and others."""
-    estimate, cell = errors(moved(hand, friction, seed, tmp_path))
+    estimate, cell = estimate_and_raw_rmse(run_with_friction(hand, friction, seed, tmp_path))
     assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
 
 
@@ -69,12 +69,12 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 def test_warning_keeps_to_the_undoubted_model(hand: str) -> None:
     """A filter in doubt explains its innovations better. The averages for warning and doubt use the original model."""
     model = model_of(hand)
-    x, force = resting(model, 20.0, 0.5)
-    read = readings(model, x, np.full(model.tendon_count, 21.0))
-    sure = all_in(model, Regime.FREE, x)
+    x, force = state_at_rest(model, 20.0, 0.5)
+    read = noiseless_readings(model, x, np.full(model.tendon_count, 21.0))
+    sure = all_in_regime(model, Regime.FREE, x)
     doubting = sure._replace(wary=np.full(model.tendon_count, ADAPTED_NOISE_S))
     (after, estimate), (after_doubt, estimate_doubt) = (
-        step(model, state, read, force, nowhere(model)) for state in (sure, doubting)
+        step(model, state, read, force, no_contact(model)) for state in (sure, doubting)
     )
     assert after.nis == pytest.approx(after_doubt.nis)
     assert after.lately == pytest.approx(after_doubt.lately)
@@ -88,9 +88,11 @@ def _judge(block: Block, at: Places, of: Block, of_at: Places, innovation: np.nd
     kalman._judge_consistency(state_tables(block, at), constant_tables(of, of_at), innovation, information, True)
 
 
-def caution(model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def averages_and_doubts(
+    model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return averages of the normalised innovation squared and times of doubt [s] after one tick, (N,) each."""
-    state, n = blank(model), model.tendon_count
+    state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
     _judge(state.block, state.layout.places, *constants(model), innovation, np.ones((n, 3)))
@@ -101,7 +103,7 @@ def test_a_slow_loop_does_not_adapt() -> None:
     lately, wary = np.full(4, 2.0), np.zeros(4)
     model = HandModel.of(load_hand("jamia"), Gains(), 100.0)
     for _ in range(300):
-        lately, wary = caution(model, lately, wary, np.full(4, 50.0))
+        lately, wary = averages_and_doubts(model, lately, wary, np.full(4, 50.0))
     assert not wary.any()
 
 
@@ -114,23 +116,25 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
     ):
         lately, wary = usual, none
         for _ in range(round(5 * NOISE_NIS_S / period)):
-            lately, wary = caution(jamia11, lately, wary, odd)
+            lately, wary = averages_and_doubts(jamia11, lately, wary, odd)
         assert wary[0] == ADAPTED_NOISE_S
         assert bool(wary[1:].any()) == all_of_them
     nis = np.array([1e6, *[2.0] * 10])
-    assert not caution(jamia11, usual, none, nis)[1][1:].any()
+    assert not averages_and_doubts(jamia11, usual, none, nis)[1][1:].any()
 
 
 def test_doubt_ends_and_missing_samples_say_nothing(jamia11: HandModel) -> None:
     """The time of doubt decreases in each tick. NaN does not change the average."""
     n = jamia11.tendon_count
-    lately, wary = caution(jamia11, np.full(n, 2.0), np.full(n, 3 * jamia11.period), np.full(n, np.nan))
+    lately, wary = averages_and_doubts(
+        jamia11, np.full(n, 2.0), np.full(n, 3 * jamia11.period), np.full(n, np.nan)
+    )
     assert (lately == 2.0).all()
     assert wary == pytest.approx(2 * jamia11.period)
     for _ in range(2):
-        lately, wary = caution(jamia11, lately, wary, np.full(n, 2.0))
+        lately, wary = averages_and_doubts(jamia11, lately, wary, np.full(n, 2.0))
     assert not wary.any()
-    state = blank(jamia11)
+    state = active_state(jamia11)
     state.view("regime")[...] = regimes = np.arange(n) % len(Regime)
     x = interpreted(state_tables)(state.block, state.layout.places)
     assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()

@@ -12,11 +12,17 @@ from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import FilterGains, Gains
 from handctl.core.model import HandModel, _joint_period
 from handctl.hand.load import load_hand
-from tests.controller.oracle import SCALE, assumed_measurements, by_doubling, measurement_noise, over_one_period
+from tests.controller.oracle import (
+    SCALE,
+    assumed_measurements,
+    covariance_by_doubling,
+    measurement_noise,
+    over_one_period,
+)
 from tests.controller.synthetic import constant_tables_of
 
 
-class Parts:
+class DesignParts:
     """Filter designs of the packaged hands at other rates."""
 
     def __init__(self, models: dict[str, HandModel]) -> None:
@@ -28,8 +34,8 @@ class Parts:
 
 
 @pytest.fixture
-def model_parts(jamia: HandModel, jamia11: HandModel) -> Parts:
-    return Parts({"jamia": jamia, "jamia11": jamia11})
+def model_parts(jamia: HandModel, jamia11: HandModel) -> DesignParts:
+    return DesignParts({"jamia": jamia, "jamia11": jamia11})
 
 
 def one_of_each(model: HandModel) -> list[int]:
@@ -45,7 +51,7 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(model: H
         np.testing.assert_allclose(block.F * SCALE / SCALE[:, None], F, rtol=1e-7, atol=1e-8)
         np.testing.assert_allclose(block.B / SCALE[:, None], G, rtol=1e-7, atol=1e-8)
         H, R = assumed_measurements(block, regime) * SCALE, np.diag(measurement_noise(model, i) ** 2)
-        P = by_doubling(F, H, Q, R)
+        P = covariance_by_doubling(F, H, Q, R)
         innovation = H @ P @ H.T + R
         gain = np.linalg.solve(innovation, H @ P).T
         gain[E] *= regime == Regime.SLACK
@@ -69,7 +75,9 @@ def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Reg
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0, 250.0, 400.0, 500.0, 1000.0])
 @pytest.mark.parametrize("name", ["jamia", "jamia11"])
-def test_every_regime_is_stable_at_every_rate(name: str, rate_hz: float, model_parts: Parts) -> None:
+def test_every_regime_is_stable_at_every_rate(
+    name: str, rate_hz: float, model_parts: DesignParts
+) -> None:
     design = model_parts.design(name, rate_hz)
     for blocks in design.blocks:
         for block in blocks:

@@ -10,10 +10,10 @@ from handctl.core.model import HandModel
 from handctl.document import validate_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from tests.controller.goals import moving
+from tests.controller.goals import moving_goals
 from tests.controller.law_runs import LawState, step
 from tests.controller.plant_run import RATE_HZ, run_on_plant
-from tests.controller.synthetic import interpreted, under
+from tests.controller.synthetic import estimate_under_tension, interpreted
 
 MOVE_S = 0.3
 TURN_S = 0.05
@@ -55,7 +55,9 @@ def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
 def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> None:
     n = model.tendon_count
     before = LawState.initial(n)._replace(planned=np.full(n, 5e-324))
-    law, _ = step(model, before, under(model, 1.0), moving(model, 0.6, 0.7, 1.0), 0.5)
+    law, _ = step(
+        model, before, estimate_under_tension(model, 1.0), moving_goals(model, 0.6, 0.7, 1.0), 0.5
+    )
     assert (law.friction_state == -1.0).all()
 
 

@@ -7,22 +7,24 @@ from handctl.controller.state import State
 from handctl.core import stages
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
-from tests.controller.synthetic import blank, constants
+from tests.controller.synthetic import active_state, constants
 
 
 def arms_of(model: HandModel) -> np.ndarray:
     return np.asarray(model.hand.moment_arms.sum(axis=1))
 
 
-def lasting(model: HandModel, goal: float | Vector, ticks: int) -> State:
+def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int) -> State:
     """Return a hand whose motors have had equal readings for some ticks, with targets [m]."""
-    state = blank(model)
+    state = active_state(model)
     state.view("followed")[...] = goal
     state.view("motor_stuck")[...] = ticks
     return state
 
 
-def commanded(model: HandModel, before: State, angle: float, there: float | Vector = np.nan) -> State:
+def targets_after_command(
+    model: HandModel, before: State, angle: float, there: float | Vector = np.nan
+) -> State:
     """Return the targets after a command of one angle for every joint [rad], with digits at measured positions [m]."""
     state = before.copy()
     state.view("q_goal")[...] = angle
@@ -35,17 +37,17 @@ def goal(state: State) -> np.ndarray:
     return state.view("followed")
 
 
-def goal_away(state: State) -> np.ndarray:
+def target_motion(state: State) -> np.ndarray:
     """Return the motion of the targets [m] since the motor readings became constant."""
     return np.abs(goal(state) - state.view("motor_anchor")[0])
 
 
 def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
-    arms, armed = arms_of(jamia), lasting(jamia, np.nan, 1)
+    arms, armed = arms_of(jamia), hand_with_equal_readings(jamia, np.nan, 1)
 
     def goals(angle: float, ticks: int, state: State = armed) -> State:
         for _ in range(ticks):
-            state = commanded(jamia, state, angle)
+            state = targets_after_command(jamia, state, angle)
         return state
 
     begun = goals(0.2, 1)
@@ -56,7 +58,7 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
     assert goal(goals(0.4, 1000, after)) == pytest.approx(arms * 0.4, rel=1e-6)
     slow = goals(0.4 + 1e-5, 1, goals(0.4, 1000, after))
     assert goal(slow) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), "what goes slowly is followed at once"
-    limp = commanded(jamia, after, np.nan)
+    limp = targets_after_command(jamia, after, np.nan)
     assert np.isnan(goal(limp)).all()
     assert goal(goals(0.1, 1, limp)) == pytest.approx(arms * 0.1), "after a hold it begins anew"
 
@@ -64,23 +66,27 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
 def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(jamia: HandModel) -> None:
     """Friction stops the motor short of its target. Only the motion of the target since then counts."""
     arms = arms_of(jamia)
-    then = commanded(jamia, lasting(jamia, arms * 0.1, 0), 0.4, arms * 0.3)
+    then = targets_after_command(
+        jamia, hand_with_equal_readings(jamia, arms * 0.1, 0), 0.4, arms * 0.3
+    )
     np.testing.assert_allclose(goal(then), arms * 0.4)
     standing = then.copy()
     standing.view("motor_stuck")[...] = 1
-    later = commanded(jamia, standing, 0.4, arms * 0.3)
+    later = targets_after_command(jamia, standing, 0.4, arms * 0.3)
     np.testing.assert_array_equal(goal(later), goal(then))
 
 
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
     """After a quick motion, the slower filtered target must not go on while the motor is rightly at rest."""
     arms = arms_of(jamia)
-    there, lagging = arms * 0.4, lasting(jamia, arms * 0.2, 0)
+    there, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)
     lagging.view("motor_anchor")[...] = 1e-3
-    resting = commanded(jamia, lagging, 0.4, there)
+    resting = targets_after_command(jamia, lagging, 0.4, there)
     np.testing.assert_array_equal(goal(resting), there, "while it still moves, as it arrives")
-    np.testing.assert_allclose(goal_away(resting), goal_away(lagging), atol=1e-12, err_msg="a leap moved no motor")
-    later = commanded(jamia, resting, 0.4, there)
+    np.testing.assert_allclose(
+        target_motion(resting), target_motion(lagging), atol=1e-12, err_msg="a leap moved no motor"
+    )
+    later = targets_after_command(jamia, resting, 0.4, there)
     np.testing.assert_array_equal(goal(later), goal(resting))
-    stuck = commanded(jamia, lagging, 0.4, arms * 0.1)
+    stuck = targets_after_command(jamia, lagging, 0.4, arms * 0.1)
     assert (goal(stuck) > goal(lagging)).all(), "one that is elsewhere is judged as before"

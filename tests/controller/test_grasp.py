@@ -17,7 +17,16 @@ from handctl.hand.dynamics import static_torque
 from handctl.programs.grasp import RELEASE_TIMEOUT_S, RELEASED_WITHIN_N, SETTLE_AFTER_CLOSE_S, TaskProgram
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, Progress
 from handctl.programs.task import Task
-from tests.controller.synthetic import Estimate, blank, concluded, constant_tables_of, known, nothing_read, slack, under
+from tests.controller.synthetic import (
+    Estimate,
+    active_state,
+    constant_tables_of,
+    detect_contacts,
+    empty_readings,
+    estimate_under_tension,
+    exact_estimate,
+    slack,
+)
 
 TASK = {
     "schema": 1,
@@ -33,7 +42,7 @@ TASK = {
 }
 
 
-class Run:
+class ProgramRun:
     """A program that runs tick by tick on synthetic estimates.
 
     Attributes:
@@ -46,13 +55,15 @@ class Run:
         self.model, self.program = model, TaskProgram(Task.model_validate_json(json.dumps(task)))
         self.progress: Progress = self.program.initial(model)
         self.events: list[Event] = []
-        self.t, self.state = 0.0, blank(model)
+        self.t, self.state = 0.0, active_state(model)
 
     def tick(self, estimate: Estimate) -> tuple[Event, ...]:
         self.t += self.model.period
         self.state.view("closing")[...] = self.progress.closing or 0
-        felt = concluded(self.model, self.state, estimate)
-        self.progress, events = self.program.advance(self.model, self.progress, felt, nothing_read(self.model), self.t)
+        felt = detect_contacts(self.model, self.state, estimate)
+        self.progress, events = self.program.advance(
+            self.model, self.progress, felt, empty_readings(self.model), self.t
+        )
         self.events += events
         return events
 
@@ -76,12 +87,14 @@ class Run:
 
 @pytest.fixture
 def taut(model: HandModel) -> Estimate:
-    return under(model, 5.0)
+    return estimate_under_tension(model, 5.0)
 
 
-def touching(model: HandModel, external: dict[str, float], tension: float = 15.0) -> Estimate:
+def hand_in_contact(
+    model: HandModel, external: dict[str, float], tension: float = 15.0
+) -> Estimate:
     """Return a taut hand with contact at some digits."""
-    estimate = under(model, tension, 0.5)
+    estimate = estimate_under_tension(model, tension, 0.5)
     force = np.zeros(model.tendon_count)
     for name, value in external.items():
         force[model.digit_tendons[model.hand.digit_names.index(name)]] = value
@@ -89,7 +102,7 @@ def touching(model: HandModel, external: dict[str, float], tension: float = 15.0
 
 
 def test_phases_come_in_the_order_of_the_task_and_last_as_long(model: HandModel, taut: Estimate) -> None:
-    run = Run(model)
+    run = ProgramRun(model)
     assert {goal.kind for goal in run.progress.goals} == {Kind.LIMP}, "limp until active"
     assert run.until("tighten", taut) <= 2 * model.period
     assert {goal.kind for goal in run.progress.goals} == {Kind.TENSION}
@@ -97,7 +110,7 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(model: HandModel,
     assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
     assert run.until("preshape", taut) == pytest.approx(0.2, abs=1.1 * model.period)
     assert run.until("close", taut) == pytest.approx(0.3, abs=1.1 * model.period)
-    everything = touching(model, dict.fromkeys(model.hand.digit_names, 12.0))
+    everything = hand_in_contact(model, dict.fromkeys(model.hand.digit_names, 12.0))
     assert run.until("hold", everything) == pytest.approx(0.01, abs=0.01), "all touch: go on"
     assert run.until("release", everything) == pytest.approx(0.4, abs=1.1 * model.period)
     assert run.until("open", taut) == pytest.approx(0.1, abs=1.1 * model.period)
@@ -112,9 +125,9 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(model: HandModel,
 
 
 def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) -> None:
-    loose = under(model, 5.0)
+    loose = estimate_under_tension(model, 5.0)
     loose.slack[1] = True
-    run = Run(model)
+    run = ProgramRun(model)
     while not run.progress.finished:
         run.tick(loose)
     assert run.t == pytest.approx(TIGHTEN_TIMEOUT_S, abs=3 * model.period)
@@ -125,7 +138,7 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
 
 def test_tightening_must_last(model: HandModel, taut: Estimate) -> None:
     """Ticks with slack count against the tendon, but only for a limited time."""
-    run = Run(model)
+    run = ProgramRun(model)
     run.until("tighten", taut)
     for seconds, estimate in ((0.2, taut), (0.1, slack(model)), (0.1, taut), (0.5, slack(model))):
         for _ in range(round(seconds / model.period)):
@@ -134,7 +147,7 @@ def test_tightening_must_last(model: HandModel, taut: Estimate) -> None:
 
 
 def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(model: HandModel, taut: Estimate) -> None:
-    run = Run(model)
+    run = ProgramRun(model)
     run.until("tighten", taut)
     while run.progress.phase == "tighten":
         for estimate in (slack(model), taut, taut, taut, taut):
@@ -144,7 +157,7 @@ def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(model: H
 
 
 def test_tendon_slack_in_every_second_tick_never_counts_as_tight(model: HandModel, taut: Estimate) -> None:
-    run = Run(model)
+    run = ProgramRun(model)
     run.until("tighten", taut)
     while not run.progress.finished:
         run.tick(slack(model) if run.progress.touching[0] else taut)
@@ -156,9 +169,9 @@ def test_tendon_slack_in_every_second_tick_never_counts_as_tight(model: HandMode
 
 
 def test_motions_begin_where_the_digit_is(model: HandModel, taut: Estimate) -> None:
-    run = Run(model)
+    run = ProgramRun(model)
     run.until("home", taut)
-    bent = under(model, 5.0, 0.4)
+    bent = estimate_under_tension(model, 5.0, 0.4)
     run.until("preshape", bent)
     names = model.hand.digit_names
     for d, name in enumerate(names):
@@ -172,36 +185,42 @@ def test_motions_begin_where_the_digit_is(model: HandModel, taut: Estimate) -> N
             np.testing.assert_allclose(goal.trajectory.end, 0.0, err_msg="not named: as before")
 
 
-def closing(model: HandModel, taut: Estimate) -> Run:
-    run = Run(model)
+def closing(model: HandModel, taut: Estimate) -> ProgramRun:
+    run = ProgramRun(model)
     run.until("close", taut)
     return run
 
 
 def felt(model: HandModel, estimate: Estimate) -> np.ndarray:
     """Return the forces at the tips of closing digits (D,) [N], before the filter."""
-    state = blank(model)
+    state = active_state(model)
     state.view("closing")[...] = 1
-    concluded(model, state, estimate)
+    detect_contacts(model, state, estimate)
     return state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION]
 
 
-def strong(model: HandModel, newtons: float) -> float:
+def tension_for_tip_force(model: HandModel, newtons: float) -> float:
     """Return the unexplained tension of each index tendon for a force at its tip [N]."""
-    found = felt(model, under(model, 15.0, 0.5)._replace(external=np.ones(model.tendon_count)))
+    found = felt(
+        model,
+        estimate_under_tension(model, 15.0, 0.5)._replace(external=np.ones(model.tendon_count)),
+    )
     return newtons / float(found[model.hand.digit_names.index("index")])
 
 
 def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estimate) -> None:
     run, threshold = closing(model, taut), model.gains.contact.threshold_N
-    weak = touching(model, {"index": strong(model, 0.95 * threshold)})
+    weak = hand_in_contact(model, {"index": tension_for_tip_force(model, 0.95 * threshold)})
     run.touch(weak)
-    run.touch(touching(model, {"index": 0.0}))
+    run.touch(hand_in_contact(model, {"index": 0.0}))
     for _ in range(10):
-        run.tick(touching(model, {"index": strong(model, 1.5 * threshold)}))
-        run.tick(touching(model, {"index": strong(model, -1.5 * threshold)}))
+        run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, 1.5 * threshold)}))
+        run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, -1.5 * threshold)}))
     assert not any(run.progress.contact), "never strong and long enough"
-    began, touch = run.t, touching(model, {"index": strong(model, 3.0 * threshold)})
+    began, touch = (
+        run.t,
+        hand_in_contact(model, {"index": tension_for_tip_force(model, 3.0 * threshold)}),
+    )
     while not any(run.progress.contact):
         events = run.tick(touch)
         assert run.t - began < 0.02, "found in time"
@@ -225,18 +244,20 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
         q[digit.joints], balance[digit.tendons] = own, forces[-1] * (digit.torque_to_tension @ joint_lever(digit, own))
     x = np.zeros((model.tendon_count, STATES))
     x[:, S] = x[:, X] = model.hand.moment_arms @ q
-    np.testing.assert_allclose(felt(model, known(model, x)._replace(external=balance)), forces)
+    np.testing.assert_allclose(
+        felt(model, exact_estimate(model, x)._replace(external=balance)), forces
+    )
 
 
 def test_a_digit_that_touches_later_joins_the_grasp(model: HandModel, taut: Estimate) -> None:
     run = closing(model, taut)
-    run.touch(touching(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
+    run.touch(hand_in_contact(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
     held = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
     assert [i for i, c in enumerate(run.progress.contact) if c] == held
     for d in held:
         np.testing.assert_allclose(run.progress.goals[d].tension, 12.0, err_msg="at least the contact tension")
     before = run.progress.goals[held[0]]
-    run.touch(touching(model, {"ring": 12.0}))
+    run.touch(hand_in_contact(model, {"ring": 12.0}))
     assert sum(run.progress.contact) == 3
     assert run.progress.goals[held[0]] is before, "contact lost is not contact undone"
 
@@ -255,7 +276,7 @@ def test_closing_on_nothing_ends_and_says_so(model: HandModel, taut: Estimate) -
 
 def test_only_named_digits_in_contact_hold(model: HandModel, taut: Estimate) -> None:
     run = closing(model, taut)
-    touch = touching(model, {"index": 12.0, "ring": 12.0})
+    touch = hand_in_contact(model, {"index": 12.0, "ring": 12.0})
     run.touch(touch)
     names = model.hand.digit_names
     before = run.progress.goals[names.index("ring")]
@@ -267,25 +288,27 @@ def test_only_named_digits_in_contact_hold(model: HandModel, taut: Estimate) -> 
 
 def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate) -> None:
     run = closing(model, taut)
-    touch = touching(model, {"index": 12.0})
+    touch = hand_in_contact(model, {"index": 12.0})
     run.touch(touch)
     run.until("release", touch)
     for _ in range(round(1.0 / model.period)):
-        run.tick(under(model, 20.0))
+        run.tick(estimate_under_tension(model, 20.0))
     assert run.progress.phase == "release"
-    run.until("open", under(model, 9.0))
+    run.until("open", estimate_under_tension(model, 9.0))
     assert not any(run.progress.contact), "free again"
     assert not [event for event in run.events if event.level == "warn"]
 
 
-def released(model: HandModel, taut: Estimate, tension: float, **release: float) -> tuple[Run, float]:
+def run_release(
+    model: HandModel, taut: Estimate, tension: float, **release: float
+) -> tuple[ProgramRun, float]:
     """Return a run after its release with a constant tension of the index [N], and the duration of the release [s]."""
     task = {**TASK, "phase": [{**p, **release} if p["kind"] == "release" else p for p in TASK["phase"]]}
-    run, touch = Run(model, task), touching(model, {"index": 12.0})
+    run, touch = ProgramRun(model, task), hand_in_contact(model, {"index": 12.0})
     run.until("close", taut)
     run.touch(touch)
     run.until("release", touch)
-    return run, run.until("open", under(model, tension))
+    return run, run.until("open", estimate_under_tension(model, tension))
 
 
 @pytest.mark.parametrize(("tension", "settle", "took", "told"), [
@@ -296,7 +319,7 @@ def released(model: HandModel, taut: Estimate, tension: float, **release: float)
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip
 def test_a_release_that_does_not_let_go_is_reported(model, taut, tension, settle, took, told) -> None:
-    run, lasted = released(model, taut, tension, settle_s=settle)
+    run, lasted = run_release(model, taut, tension, settle_s=settle)
     assert lasted == pytest.approx(took, abs=0.1)
     warnings = [(event.where, event.text) for event in run.events if event.level == "warn"]
     assert warnings == ([("index", f"release: above 8 N after {took:g} s, and going on")] if told else [])
@@ -305,12 +328,12 @@ def test_a_release_that_does_not_let_go_is_reported(model, taut, tension, settle
 def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Estimate) -> None:
     close, hold, release = TASK["phase"][2:5]
     phases = [close, hold, release, {**close, "name": "again"}, {**hold, "name": "more"}]
-    run = Run(model, {**TASK, "phase": phases})
+    run = ProgramRun(model, {**TASK, "phase": phases})
     run.until("close", taut)
-    touch, index = touching(model, {"index": 12.0}), model.hand.digit_names.index("index")
+    touch, index = hand_in_contact(model, {"index": 12.0}), model.hand.digit_names.index("index")
     run.touch(touch)
     run.until("release", touch)
-    run.tick(under(model, 20.0))
+    run.tick(estimate_under_tension(model, 20.0))
     assert run.progress.contact[index], "until it has let go"
     run.until("again", taut)
     assert not any(run.progress.contact), "free again"
@@ -323,9 +346,9 @@ def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Esti
 def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut: Estimate) -> None:
     """Only a release or a move ends the hold."""
     close, hold = TASK["phase"][2:4]
-    run = Run(model, {**TASK, "phase": [close, hold, {**close, "name": "again"}]})
+    run = ProgramRun(model, {**TASK, "phase": [close, hold, {**close, "name": "again"}]})
     run.until("close", taut)
-    touch, index = touching(model, {"index": 12.0}), model.hand.digit_names.index("index")
+    touch, index = hand_in_contact(model, {"index": 12.0}), model.hand.digit_names.index("index")
     run.touch(touch)
     run.until("again", touch)
     assert run.progress.contact[index]
@@ -334,9 +357,9 @@ def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut
 
 def test_a_tip_force_becomes_the_tension_that_stands_for_it(model: HandModel, taut: Estimate) -> None:
     phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
-    run = Run(model, {**TASK, "phase": phases})
+    run = ProgramRun(model, {**TASK, "phase": phases})
     run.until("close", taut)
-    touch = touching(model, {"index": 12.0})
+    touch = hand_in_contact(model, {"index": 12.0})
     run.touch(touch)
     run.until("hold", touch)
     d = model.hand.digit_names.index("index")
@@ -353,9 +376,9 @@ def test_contact_ends_with_the_next_move(model: HandModel, taut: Estimate) -> No
         {"kind": "move", "angle_deg": 0.0, "duration_s": 0.1},
         {"kind": "close", "name": "again"},
     ]
-    run = Run(model, {**TASK, "phase": phases})
+    run = ProgramRun(model, {**TASK, "phase": phases})
     run.until("close", taut)
-    run.touch(touching(model, {"index": 12.0}))
+    run.touch(hand_in_contact(model, {"index": 12.0}))
     run.until("move", taut)
     assert not any(run.progress.contact)
     assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
@@ -371,12 +394,12 @@ def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(model: Ha
         {"kind": "close"},
         {"kind": "hold", "tension_N": {"index": tensions}},
     ]
-    run = Run(model, {**TASK, "phase": phases})
+    run = ProgramRun(model, {**TASK, "phase": phases})
     run.until("move", taut)
     goal = run.progress.goals[0]
     assert goal.trajectory is not None
     np.testing.assert_allclose(np.degrees(goal.trajectory.end), angles)
     run.until("close", taut)
-    run.touch(touching(model, {"index": 12.0}))
+    run.touch(hand_in_contact(model, {"index": 12.0}))
     run.until("hold", taut)
     np.testing.assert_allclose(run.progress.goals[0].tension, tensions)

@@ -51,7 +51,7 @@ def test_load_cells_that_come_by_turns_are_all_waited_for(jamia11: HandModel) ->
     assert run.state.started
 
 
-def in_inventory_for(hand: Bench, seconds: float) -> State:
+def hand_in_inventory(hand: Bench, seconds: float) -> State:
     """Return a ready hand without the parts that a test removes, some time after the inventory started."""
     hand.until(Mode.READY)
     state = hand.state.copy()
@@ -67,7 +67,7 @@ def decided(hand: Bench, state: State) -> tuple[Mode, str]:
 
 def test_a_drive_that_is_ready_but_never_tells_its_position_is_named(hand: Bench) -> None:
     """The heartbeat of an ODrive makes it ready, although its encoder messages may be disabled."""
-    known = in_inventory_for(hand, INVENTORY_TIMEOUT_S + 0.1)
+    known = hand_in_inventory(hand, INVENTORY_TIMEOUT_S + 0.1)
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
     hand.controller.keep(unread, 1, blind)
     unread.set_whole(s.STARTED, 0)

@@ -12,9 +12,17 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from tests.controller.goals import holding, moving
-from tests.controller.law_runs import LawState, carried, command_of, step
-from tests.controller.synthetic import Estimate, at_rest, blank, constants, known, slack, under
+from tests.controller.goals import holding_goals, moving_goals
+from tests.controller.law_runs import LawState, command_of, law_state_of, step
+from tests.controller.synthetic import (
+    Estimate,
+    active_state,
+    balanced_state,
+    constants,
+    estimate_under_tension,
+    exact_estimate,
+    slack,
+)
 
 AT_S = 0.25
 """On a way of one second: it accelerates, and is on its way."""
@@ -28,12 +36,12 @@ def force(model: HandModel, estimate: Estimate, goals: tuple[DigitGoal, ...]) ->
 
 @pytest.fixture
 def way(model: HandModel) -> tuple[DigitGoal, ...]:
-    return moving(model, 0.4, 0.6, 1.0)
+    return moving_goals(model, 0.4, 0.6, 1.0)
 
 
 @pytest.fixture
 def there(model: HandModel) -> Estimate:
-    return known(model, at_rest(model, 0.42))
+    return exact_estimate(model, balanced_state(model, 0.42))
 
 
 def test_motion_feedback_applies_each_gain(model: HandModel, way: tuple[DigitGoal, ...], there: Estimate) -> None:
@@ -65,15 +73,17 @@ def test_a_way_s_acceleration_is_fed_forward(model: HandModel, way: tuple[DigitG
 
 
 def test_held_tendons_take_a_disturbance_off(model: HandModel) -> None:
-    there = under(model, 20.0)
+    there = estimate_under_tension(model, 20.0)
     off = there._replace(disturbance=np.full(model.tendon_count, 0.5))
-    change = force(model, off, holding(model, 20.0)) - force(model, there, holding(model, 20.0))
+    change = force(model, off, holding_goals(model, 20.0)) - force(
+        model, there, holding_goals(model, 20.0)
+    )
     np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
 
 
 def test_an_idle_law_has_commanded_nothing(model: HandModel) -> None:
     """A tension loop then starts at the present tension, for any command before."""
-    state, tension = blank(model), np.linspace(3.0, 4.0, model.tendon_count)
+    state, tension = active_state(model), np.linspace(3.0, 4.0, model.tendon_count)
     for name in ("setpoint", "integral", "force", "planned", "rate", "trim", "torque", "friction_state"):
         state.view(name)[...] = 7.0
     state.view("tension")[...] = tension
@@ -81,7 +91,7 @@ def test_an_idle_law_has_commanded_nothing(model: HandModel) -> None:
     state.set_whole(s.HOLDING, 1)
     state.mode = Mode.READY
     stages.compute_motor_torques(state.block, state.layout.places, *constants(model), 0.0, 0, 1)
-    law, command = carried(state), command_of(state)
+    law, command = law_state_of(state), command_of(state)
     np.testing.assert_array_equal(law.setpoint, tension)
     for part in law[1:5]:
         assert not part.any()
@@ -96,15 +106,19 @@ def test_an_idle_law_has_commanded_nothing(model: HandModel) -> None:
 
 
 def test_a_hand_that_holds_has_goals_of_no_angle(model: HandModel) -> None:
-    there = under(model, 20.0)
-    command = step(model, LawState.idle(there.tension), there, holding(model, 20.0), AT_S)[1]
+    there = estimate_under_tension(model, 20.0)
+    command = step(model, LawState.idle(there.tension), there, holding_goals(model, 20.0), AT_S)[1]
     joints = len(model.hand.joints)
     assert [np.isnan(goal).tolist() for goal in (command.q, command.dq)] == [[True] * joints] * 2
 
 
 def test_held_tendons_answer_their_speed_and_their_tension(model: HandModel) -> None:
     """The control law opposes a deviation from the goal, and damps a motion."""
-    there, goals, design = under(model, 20.0), holding(model, 20.0), model.motion
+    there, goals, design = (
+        estimate_under_tension(model, 20.0),
+        holding_goals(model, 20.0),
+        model.motion,
+    )
     state = LawState.idle(there.tension)
     before = step(model, state, there, goals, AT_S)[1].torque / model.space.spool
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
@@ -118,8 +132,8 @@ def test_held_tendons_answer_their_speed_and_their_tension(model: HandModel) -> 
 
 
 def test_held_tendons_that_are_expected_on_a_way_get_what_their_rotors_need_for_it(model: HandModel) -> None:
-    there, space = under(model, 20.0), model.space
-    still = holding(model, 20.0)
+    there, space = estimate_under_tension(model, 20.0), model.space
+    still = holding_goals(model, 20.0)
     start, end, since = 0.4, 0.7, 0.1
     ways = [
         MinimumJerk(np.full(d.coupling.shape[1], start), np.full(d.coupling.shape[1], end), 1.0) for d in model.digits
@@ -141,7 +155,7 @@ def test_held_tendons_that_are_expected_on_a_way_get_what_their_rotors_need_for_
 def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(model: HandModel) -> None:
     there = slack(model)
     state = LawState.idle(np.full(model.tendon_count, 0.5))
-    goals = holding(model, 0.5)
+    goals = holding_goals(model, 0.5)
     loose = step(model, state, there, goals, AT_S)[1].torque
     taut = step(model, state, there._replace(slack=np.zeros(model.tendon_count, dtype=bool)), goals, AT_S)[1].torque
     np.testing.assert_allclose((loose - taut) / model.space.spool, model.space.coulomb, rtol=0.02)
@@ -157,14 +171,14 @@ def test_on_a_way_no_more_tension_is_aimed_at_than_allowed(
 
 
 def test_a_limp_hand_asks_its_joints_for_nothing(model: HandModel) -> None:
-    there = under(model, 10.0)
+    there = estimate_under_tension(model, 10.0)
     command = step(model, LawState.idle(there.tension), there, (DigitGoal(),) * len(model.digits), AT_S)[1]
     assert not command.joint_torque.any()
     assert np.isnan(command.tension).all()
 
 
 def test_a_half_moving_hand_has_goals_of_angles_for_that_half(model: HandModel, there: Estimate) -> None:
-    goals = (*moving(model, 0.4, 0.6, 1.0)[:2], *holding(model, 12.0)[2:])
+    goals = (*moving_goals(model, 0.4, 0.6, 1.0)[:2], *holding_goals(model, 12.0)[2:])
     law, command = step(model, LawState.idle(there.tension), there, goals, AT_S)
     tendons, joints = model.digit_tendons[1].stop, model.digits[1].joints.stop
     for angles in (command.q, command.dq):

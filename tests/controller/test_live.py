@@ -11,7 +11,7 @@ from handctl.core.model import HandModel
 from handctl.programs.live import JogProgram, LiveProgram, apply_goal
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, Progress
 from handctl.programs.requests import HoldTension, MoveDigits, parse_request
-from tests.controller.synthetic import Estimate, nothing_read, slack, under
+from tests.controller.synthetic import Estimate, empty_readings, estimate_under_tension, slack
 
 
 def asked(text: str) -> MoveDigits | HoldTension:
@@ -27,12 +27,12 @@ def live(model: HandModel, estimate: Estimate) -> tuple[LiveProgram, Progress]:
     while progress.phase != "live":
         t += model.period
         assert t < TIGHTEN_TIMEOUT_S
-        progress, _ = program.advance(model, progress, estimate, nothing_read(model), t)
+        progress, _ = program.advance(model, progress, estimate, empty_readings(model), t)
     return program, progress
 
 
 def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
-    estimate = under(model, 5.0, 0.3)
+    estimate = estimate_under_tension(model, 5.0, 0.3)
     _, progress = live(model, estimate)
     names = model.hand.digit_names
     request = asked('{"do": "move", "angle_deg": {"index": 40, "thumb": 10}, "duration_s": 2}')
@@ -58,7 +58,7 @@ def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
 
 
 def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
-    estimate = under(model, 5.0)
+    estimate = estimate_under_tension(model, 5.0)
     _, progress = live(model, estimate)
     progress = replace(progress, contact=(True,) * len(model.digits))
     moved, _ = apply_goal(model, progress, asked('{"do": "move", "angle_deg": {"index": 0}}'), estimate, 1.0)
@@ -77,7 +77,7 @@ def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
     ],
 )
 def test_a_request_with_one_mistake_changes_nothing(model: HandModel, text: str, said: str) -> None:
-    estimate = under(model, 5.0)
+    estimate = estimate_under_tension(model, 5.0)
     _, progress = live(model, estimate)
     after, events = apply_goal(model, progress, asked(text), estimate, 1.0)
     assert after is progress
@@ -92,37 +92,41 @@ def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> No
         after, events = apply_goal(model, progress, asked('{"do": "move", "angle_deg": {"index": 0}}'), estimate, t)
         assert after is progress
         assert "not ready" in events[0].text
-        progress, _ = program.advance(model, progress, estimate, nothing_read(model), t)
+        progress, _ = program.advance(model, progress, estimate, empty_readings(model), t)
     assert progress.phase == "tighten"
 
 
 def test_a_live_session_with_a_loose_tendon_gives_up(model: HandModel) -> None:
-    loose, program, t = under(model, 5.0), LiveProgram(), 0.0
+    loose, program, t = estimate_under_tension(model, 5.0), LiveProgram(), 0.0
     loose.slack[2] = True
     progress = program.initial(model)
     while not progress.finished:
         t += model.period
         assert t < 2 * TIGHTEN_TIMEOUT_S
-        progress, events = program.advance(model, progress, loose, nothing_read(model), t)
+        progress, events = program.advance(model, progress, loose, empty_readings(model), t)
     assert model.hand.tendon_names[2] in progress.failure
     assert [event.level for event in events] == ["error"]
 
 
 def test_a_live_session_never_ends_by_itself(model: HandModel) -> None:
-    estimate = under(model, 5.0)
+    estimate = estimate_under_tension(model, 5.0)
     program, progress = live(model, estimate)
     for t in (10.0, 1e3, 1e6):
-        after, events = program.advance(model, progress, estimate, nothing_read(model), t)
+        after, events = program.advance(model, progress, estimate, empty_readings(model), t)
         assert (after, events) == (progress, ())
 
 
 def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
-    estimate, jog, t = under(model, 5.0), JogProgram(asked('{"do": "hold", "tension_N": {"thumb": 8}}'), 0.5), 0.0  # type: ignore[arg-type]
+    estimate, jog, t = (
+        estimate_under_tension(model, 5.0),
+        JogProgram(asked('{"do": "hold", "tension_N": {"thumb": 8}}'), 0.5),
+        0.0,
+    )  # type: ignore[arg-type]
     progress, began = jog.initial(model), -1.0
     while not progress.finished:
         t += model.period
         assert t < 10.0
-        progress, _ = jog.advance(model, progress, estimate, nothing_read(model), t)
+        progress, _ = jog.advance(model, progress, estimate, empty_readings(model), t)
         if progress.phase == "jog" and began < 0:
             began = t
             np.testing.assert_array_equal(progress.goals[-1].tension, [8.0] * len(progress.goals[-1].tension))
@@ -131,10 +135,14 @@ def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
 
 
 def test_impossible_jog_fails(model: HandModel) -> None:
-    estimate, jog, t = under(model, 5.0), JogProgram(asked('{"do": "move", "angle_deg": {"index": 101}}'), 0.5), 0.0  # type: ignore[arg-type]
+    estimate, jog, t = (
+        estimate_under_tension(model, 5.0),
+        JogProgram(asked('{"do": "move", "angle_deg": {"index": 101}}'), 0.5),
+        0.0,
+    )  # type: ignore[arg-type]
     progress = jog.initial(model)
     while not progress.finished:
         t += model.period
         assert t < 2.0
-        progress, _ = jog.advance(model, progress, estimate, nothing_read(model), t)
+        progress, _ = jog.advance(model, progress, estimate, empty_readings(model), t)
     assert "from 0 to 100 deg" in progress.failure

@@ -8,12 +8,12 @@ import pytest
 from handctl.core.law.allocation import tensions_for_torque
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
-from tests.controller.goals import moving
+from tests.controller.goals import moving_goals
 from tests.controller.law_runs import load_of, way_of
 
 
 def ways(model: HandModel, since: float, durations: tuple[float, ...]) -> tuple[DigitGoal, ...]:
-    return moving(model, 0.2, 0.9, durations, since)
+    return moving_goals(model, 0.2, 0.9, durations, since)
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
@@ -30,7 +30,7 @@ def test_a_way_counts_from_when_it_began(
     assert way[1].min() > 0.0
 
 
-def by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
+def load_by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
     """Compute the same for each digit separately, without a shortcut."""
     found = np.zeros(model.tendon_count)
     q, dq, ddq = way.tolist()
@@ -53,7 +53,7 @@ def test_a_load_is_what_each_digit_can_bear(hand: str, request: pytest.FixtureRe
         for _ in range(20):
             way = rng.normal(size=(3, joints)) * np.array([[0.3], [1.0], [spread]]) + np.array([[0.7], [0.0], [0.0]])
             load = load_of(model, goals, way)
-            np.testing.assert_allclose(load, by_digit(model, way), rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(load, load_by_digit(model, way), rtol=1e-6, atol=1e-6)
             bound = (load <= model.floor) | (load >= model.ceiling)
             kinds.add("all" if bound.all() else "some" if bound.any() else "none")
     assert kinds >= {"some", "none"}

@@ -35,7 +35,7 @@ def lasted(run: Bench, mode: Mode) -> float:
     return sum(out.mode == mode for _, _, out in run.history) * run.controller.model.period
 
 
-def sent(run: Bench, data: bytes) -> list[int]:
+def ids_sent(run: Bench, data: bytes) -> list[int]:
     """Return the identifiers of the frames with these bytes, in order."""
     return [frame.can_id for _, _, out in run.history for frame in out.frames if frame.data == data]
 
@@ -53,7 +53,7 @@ def test_from_silence_to_action_and_home(model: HandModel) -> None:
     for _, _, out in run.history:
         if out.mode == Mode.SILENT:
             assert out.frames == (), "silent means silent"
-    assert sent(run, ENABLE) == [motor.node_id for motor in run.peer.motors], "each drive is enabled once"
+    assert ids_sent(run, ENABLE) == [motor.node_id for motor in run.peer.motors], "each drive is enabled once"
     assert [motor.nibble for motor in run.peer.motors] == [1] * model.tendon_count
     run.run(2.0)
     assert run.state.progress.phase == "live"
@@ -79,7 +79,7 @@ def test_hand_waits_without_an_arm_request(quick: HandModel) -> None:
     run.until(Mode.READY)
     run.run(2.0)
     assert run.state.mode == Mode.READY
-    assert sent(run, ENABLE) == []
+    assert ids_sent(run, ENABLE) == []
     run.tick(ARM)
     run.until(Mode.ACTIVE, 1.0)
 
@@ -102,7 +102,7 @@ def test_stop_from_every_mode(hand: Bench, mode: Mode, way: list[Mode]) -> None:
     assert disabled(hand)
     assert not hand.state.failure
     if mode < Mode.ARMING:
-        assert sent(hand, ENABLE) == []
+        assert ids_sent(hand, ENABLE) == []
 
 
 @pytest.mark.parametrize("mode", [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE, Mode.RELAX])
@@ -138,14 +138,14 @@ def test_a_second_stop_does_not_lengthen_the_first(hand: Bench) -> None:
     hand.until(Mode.DONE, 2.0)
 
 
-def foreign(hand: Bench) -> Frame:
+def foreign_command(hand: Bench) -> Frame:
     """Return a frame that only a second controller can have sent: a torque command to the first motor."""
     return Frame(hand.peer.motors[0].node_id, bytes(8), t_ns=hand.k * hand.period_ns)
 
 
 def test_a_second_controller_that_is_heard_first_is_left_alone(hand: Bench) -> None:
     hand.run(0.2)
-    hand.tick(extra=(foreign(hand),))
+    hand.tick(extra=(foreign_command(hand),))
     hand.until(Mode.DONE, 1.0)
     assert "another controller" in hand.state.failure
     assert "0x001" in hand.state.failure
@@ -155,16 +155,16 @@ def test_a_second_controller_that_is_heard_first_is_left_alone(hand: Bench) -> N
 @pytest.mark.parametrize("mode", [Mode.INVENTORY, Mode.READY])
 def test_a_second_controller_that_comes_before_arming_prevents_it(hand: Bench, mode: Mode) -> None:
     hand.until(mode)
-    hand.tick(extra=(foreign(hand),))
+    hand.tick(extra=(foreign_command(hand),))
     assert hand.state.mode == Mode.DONE
     assert "another controller" in hand.state.failure
-    assert sent(hand, ENABLE) == []
+    assert ids_sent(hand, ENABLE) == []
 
 
 def test_a_second_controller_in_action_means_relax(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     hand.run(1.0)
-    assert hand.tick(extra=(foreign(hand),)).action == Action.RELAX
+    assert hand.tick(extra=(foreign_command(hand),)).action == Action.RELAX
     hand.until(Mode.DONE)
     assert hand.modes == HAPPY + HOME
     assert "H13" in hand.state.failure
@@ -189,7 +189,7 @@ def test_a_missing_motor_is_named(hand: Bench) -> None:
     hand.peer.motors[2].silent = True
     hand.until(Mode.DONE)
     assert hand.state.failure == "no answer from ring_motor"
-    assert sent(hand, ENABLE) == []
+    assert ids_sent(hand, ENABLE) == []
     assert lasted(hand, Mode.INVENTORY) == pytest.approx(INVENTORY_TIMEOUT_S, abs=0.05)
 
 
@@ -214,7 +214,7 @@ def test_a_motor_that_reports_an_error_is_named_with_it(hand: Bench) -> None:
     hand.peer.motors[1].nibble = 0xB
     hand.until(Mode.DONE)
     assert "middle_motor" in hand.state.failure
-    assert sent(hand, ENABLE) == []
+    assert ids_sent(hand, ENABLE) == []
 
 
 def test_a_register_that_does_not_read_back_is_named(hand: Bench) -> None:
@@ -279,12 +279,12 @@ def test_a_lost_bus_before_arming_ends_the_run(hand: Bench, mode: Mode) -> None:
     hand.until(mode)
     assert hand.tick(io=(IoEvent("enodev", "local:x"),)).mode == Mode.DONE
     assert "B16" in hand.state.failure
-    assert sent(hand, ENABLE) == []
+    assert ids_sent(hand, ENABLE) == []
 
 
 def test_a_fault_while_arming_disarms(hand: Bench) -> None:
     hand.until(Mode.ARMING)
-    hand.tick(extra=(foreign(hand),))
+    hand.tick(extra=(foreign_command(hand),))
     hand.until(Mode.DONE)
     assert "H13" in hand.state.failure
     assert disabled(hand)
@@ -295,7 +295,7 @@ def test_a_cut_during_relax_wins(hand: Bench) -> None:
     hand.run(2.0)
     hand.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     hand.run(0.5)
-    assert hand.tick(extra=(foreign(hand),)).mode == Mode.RELAX
+    assert hand.tick(extra=(foreign_command(hand),)).mode == Mode.RELAX
     assert hand.tick(io=(IoEvent("bus_off", "local:x"),)).mode == Mode.CUT
     hand.until(Mode.DONE)
     assert "H13" in hand.state.failure, "what began it"
@@ -328,7 +328,7 @@ def test_a_program_that_gives_up_relaxes_and_tells_why(quick: HandModel) -> None
 
 def test_clear_drops_latches_but_arms_nothing(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
-    hand.tick(extra=(foreign(hand),))
+    hand.tick(extra=(foreign_command(hand),))
     assert hand.state.latched
     hand.tick('{"do": "clear"}')
     assert not hand.state.latched

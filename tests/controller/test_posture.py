@@ -23,7 +23,14 @@ from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.session.simulate import Simulator, homed_controller
 from handctl.session.tasks import find_task
-from tests.controller.synthetic import Estimate, blank, concluded, constant_tables_of, controller_of, under
+from tests.controller.synthetic import (
+    Estimate,
+    active_state,
+    constant_tables_of,
+    controller_of,
+    detect_contacts,
+    estimate_under_tension,
+)
 
 RATE_HZ = 250.0
 PERIOD_NS = round(1e9 / RATE_HZ)
@@ -32,7 +39,7 @@ GRASPS = [("grasp.toml", "cylinder"), ("pinch.toml", "sphere"), ("hook.toml", "h
 HELD, FREE = ("close", "hold", "release"), ("tighten", "home")
 
 
-class Seen(NamedTuple):
+class PostureTick(NamedTuple):
     """Values of a tick: phase, true, estimated and free angles, deviation (J,) [rad], contact force per digit [N]."""
 
     phase: str
@@ -56,7 +63,7 @@ def with_encoders(folder: Path, joints: int | None = None) -> Path:
     return path
 
 
-def grasped(path: Path, task: str, scene: str, seed: int) -> Iterator[Seen]:
+def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureTick]:
     """Return a grasp in lockstep, tick by tick."""
     model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
     program = TaskProgram(find_task(Path(task), model.hand)[0])
@@ -66,7 +73,7 @@ def grasped(path: Path, task: str, scene: str, seed: int) -> Iterator[Seen]:
             numbers, real = out.telemetry, np.array(plant.engine.q)
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             free = model.excursion_to_joints @ numbers.excursion
-            yield Seen(out.phase, real, numbers.q, numbers.q_sigma, free, force)
+            yield PostureTick(out.phase, real, numbers.q, numbers.q_sigma, free, force)
             if run.state.mode == Mode.RELAX:
                 break
 
@@ -79,7 +86,7 @@ def rms(values: np.ndarray) -> float:
 @pytest.mark.parametrize(("task", "scene"), GRASPS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS[:2])
 def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: int) -> None:
     """At least 95 % of all joints and ticks. During the hold the error is smaller than with a free digit's angles."""
-    seen = list(grasped(packaged("jamia"), task, scene, seed))
+    seen = list(run_grasp(packaged("jamia"), task, scene, seed))
     held = [one for one in seen if one.phase in HELD]
     assert np.mean([np.abs(one.q - one.real) <= 2.0 * one.sigma for one in held]) >= 0.95
     hold = [one for one in seen if one.phase == "hold"]
@@ -94,7 +101,7 @@ def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: i
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_joint_encoders_measure_the_angles_of_a_held_digit(tmp_path: Path, seed: int) -> None:
-    seen = list(grasped(with_encoders(tmp_path), "grasp.toml", "cylinder", seed))
+    seen = list(run_grasp(with_encoders(tmp_path), "grasp.toml", "cylinder", seed))
     hold = [one for one in seen if one.phase == "hold"]
     error = np.array([one.q - one.real for one in hold])
     assert rms(error) < 0.2
@@ -111,11 +118,11 @@ class Angles(NamedTuple):
     sigma: np.ndarray
 
 
-def angles_in(model: HandModel, state: State, estimate: Estimate, touched: np.ndarray, k: int) -> Angles:
+def angles_of_tick(model: HandModel, state: State, estimate: Estimate, touched: np.ndarray, k: int) -> Angles:
     """Return the angles of a tick with unexplained tensions (D,) [N]. The state stores the tick."""
     state.view("touch")[...] = touched
     state.set_whole(s.K, k)
-    concluded(model, state, estimate._replace(external=touched[list(model.digit_of)]))
+    detect_contacts(model, state, estimate._replace(external=touched[list(model.digit_of)]))
     np.testing.assert_allclose(state.view("touch"), touched, err_msg="it lasts")
     return Angles(state.view("q").copy(), state.view("q_sigma").copy())
 
@@ -123,10 +130,10 @@ def angles_in(model: HandModel, state: State, estimate: Estimate, touched: np.nd
 @pytest.mark.parametrize("hand", ["jamia", "jamia_bench", "jamia11"])
 def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
     model = HandModel.of(load_hand(hand), Gains(), RATE_HZ)
-    estimate, state = under(model, 30.0, 0.6), blank(model)
+    estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
     touched = np.full(len(model.digits), 15.0)
     for k in range(200):
-        angles = angles_in(model, state, estimate, touched, k)
+        angles = angles_of_tick(model, state, estimate, touched, k)
     moment_arms = model.hand.moment_arms
     np.testing.assert_allclose(moment_arms @ angles.q, moment_arms @ estimate.q, atol=1e-9)
     turned = np.degrees(np.abs(angles.q - estimate.q).max())
@@ -135,17 +142,17 @@ def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
 
 
 def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel) -> None:
-    estimate, state = under(model, 30.0, 0.6), blank(model)
+    estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
     nothing = np.zeros(len(model.digits))
 
     def after(touched: np.ndarray, seconds: float) -> Angles:
         for k in range(round(seconds / model.period)):
-            angles = angles_in(model, state, estimate, touched, k)
+            angles = angles_of_tick(model, state, estimate, touched, k)
         return angles
 
     of = constant_tables_of(model)
     free = bool(of.run_int[h.NULL_SPACE])
-    first = angles_in(model, state, estimate, nothing, 1)
+    first = angles_of_tick(model, state, estimate, nothing, 1)
     if free:
         span = np.concatenate([digit.joint_max - digit.joint_min for digit in model.digits])
         np.testing.assert_array_equal(of.joint[h.RANGE_SIGMA], span / np.sqrt(12.0))
@@ -167,7 +174,7 @@ def _fuse(
     posture._fuse_encoders(state_tables(block, at), constant_tables(of, of_at), columns, spread, t_ns)
 
 
-def fused(model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int) -> State:
+def state_after_fusion(model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int) -> State:
     """Return a state after the fusion of joint encoders. Columns (C, J) and spread (J, N) give the prior covariance."""
     after = state.copy()
     _fuse(after.block, after.layout.places, *controller_of(model)._constants, columns, spread, t_ns)
@@ -177,7 +184,7 @@ def fused(model: HandModel, state: State, columns: np.ndarray, spread: np.ndarra
 def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     """One joint is read. Covariances weight prior and reading, and other joints follow by their correlation."""
     model = HandModel.of(load_hand(str(with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ)
-    joints, state = len(model.hand.joints), blank(model)
+    joints, state = len(model.hand.joints), active_state(model)
     noise = constant_tables_of(model).joint[h.ENCODER_VARIANCE]
     columns = np.zeros((2, joints))
     columns[0, :3] = (0.2, -0.1, -0.1)
@@ -186,13 +193,13 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     state.view("joint_angle")[0] = 0.7
     state.view("group_ns")[...] = 0
     spread = np.zeros((joints, model.tendon_count))
-    after = fused(model, state, columns, spread, 0)
+    after = state_after_fusion(model, state, columns, spread, 0)
     P = columns.T @ columns
     gain = P[:, 0] / (P[0, 0] + noise[0])
     np.testing.assert_allclose(after.view("q"), 0.5 + gain * 0.2, rtol=1e-9)
     np.testing.assert_allclose(after.view("q_sigma")[0] ** 2, P[0, 0] - gain[0] * P[0, 0], atol=1e-12)
     np.testing.assert_array_equal(after.view("q_sigma")[1:], state.view("q_sigma")[1:])
-    old = fused(model, state, columns, spread, round(1e9))
+    old = state_after_fusion(model, state, columns, spread, round(1e9))
     np.testing.assert_array_equal(old.block, state.block, "of a reading that is a second old nothing is used")
 
 
@@ -200,14 +207,14 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 def test_one_encoder_after_the_other_is_all_of_them_at_once(tmp_path: Path, seed: int) -> None:
     """The sequential update equals the matrix form of the Kalman filter. Some frames are too old."""
     model = HandModel.of(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
-    rng, of, state = np.random.default_rng(seed), constant_tables_of(model), blank(model)
+    rng, of, state = np.random.default_rng(seed), constant_tables_of(model), active_state(model)
     joints, now = len(model.hand.joints), 10**9
     columns, spread = 0.2 * rng.normal(size=(12, joints)), 0.02 * rng.normal(size=(joints, model.tendon_count))
     state.view("q")[...], state.view("dq")[...] = rng.uniform(0.0, 1.5, joints), rng.normal(size=joints)
     state.view("joint_angle")[...] = state.view("q") + 0.2 * rng.normal(size=joints)
     heard = rng.integers(now - round(1.5 * posture.READING_LIMIT_S * 1e9), now, len(state.view("group_ns")))
     state.view("group_ns")[...] = heard
-    after = fused(model, state, columns, spread, now)
+    after = state_after_fusion(model, state, columns, spread, now)
 
     age = (now - heard[of.joint_int[h.JOINT_GROUP]]) * 1e-9
     read = np.flatnonzero(of.joint_int[h.LOOSE].astype(bool) & (age < posture.READING_LIMIT_S))

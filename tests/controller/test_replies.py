@@ -68,11 +68,11 @@ def test_two_answers_with_other_bytes_are_a_masquerade_whatever_lies_between(run
 
 @pytest.mark.parametrize(("behind", "found"), [
     (lambda cell: [cell, cell], ["B05"]),
-    (lambda cell: [cell, cell, older(cell)], ["B05", "B07"]),
-    (lambda cell: [older(cell), cell, cell], ["B04", "B05"]),
-    (lambda cell: [cell, changed(cell)], ["B06"]),
-    (lambda cell: [cell, changed(cell), older(cell), older(cell)], ["B06", "B07"]),
-    (lambda cell: [cell, older(cell)], ["B07"]),
+    (lambda cell: [cell, cell, with_older_counter(cell)], ["B05", "B07"]),
+    (lambda cell: [with_older_counter(cell), cell, cell], ["B04", "B05"]),
+    (lambda cell: [cell, with_other_tension(cell)], ["B06"]),
+    (lambda cell: [cell, with_other_tension(cell), with_older_counter(cell), with_older_counter(cell)], ["B06", "B07"]),
+    (lambda cell: [cell, with_older_counter(cell)], ["B07"]),
 ])  # fmt: skip
 def test_load_cells_count_by_what_answers_this_tick(run, behind, found) -> None:
     run.to_host = lambda frames: [f for frame in frames for f in (behind(frame) if is_cell(run, frame) else [frame])]
@@ -83,12 +83,12 @@ def is_cell(run: Bench, frame: Frame) -> bool:
     return frame.can_id == run.controller.sensors.ids[0]
 
 
-def older(cell: Frame) -> Frame:
+def with_older_counter(cell: Frame) -> Frame:
     """Return the same frame with the counter of another SYNC."""
     return cell._replace(data=bytes([cell.data[0] ^ 1]) + cell.data[1:])
 
 
-def changed(cell: Frame) -> Frame:
+def with_other_tension(cell: Frame) -> Frame:
     """Return a reply to the same SYNC with another tension."""
     return cell._replace(data=bytes([cell.data[0] ^ 0x10]) + cell.data[1:])
 
@@ -102,12 +102,12 @@ def test_only_what_comes_beyond_the_questions_is_compared_with_the_last_one_due(
     if owed == 2:
         run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
         run.tick()
-    run.to_host = lambda frames: [f for frame in frames for f in several(frame, came)]
+    run.to_host = lambda frames: [f for frame in frames for f in change_first_motor(frame, came)]
     told = [id_ for id_ in faults(run.tick()) if id_ in ("B05", "B06")]
     assert told == ([found] if found else [])
 
 
-def several(answer: Frame, kinds: str) -> list[Frame]:
+def change_first_motor(answer: Frame, kinds: str) -> list[Frame]:
     """Return replies of the first motor: A is equal, B has another temperature. Other replies stay unchanged."""
     if answer.can_id != 0x11:
         return [answer]

@@ -6,9 +6,9 @@ import pytest
 from handctl.core.law.computed_torque import MIN_TRIM_N, TRIM_TIME_S
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
-from tests.controller.goals import holding, moving
+from tests.controller.goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, step
-from tests.controller.synthetic import under
+from tests.controller.synthetic import estimate_under_tension
 
 HIGH_N = 60.0
 
@@ -28,7 +28,9 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
 ) -> None:
     n = jamia.tendon_count
     most, kept = (None if value is None else np.full(n, value) for value in (warm, held))
-    law, command = step(jamia, idle(jamia), under(jamia, 0.0), holding(jamia, HIGH_N, AT_ONCE), 0.0, most, kept)
+    law, command = step(
+        jamia, idle(jamia), estimate_under_tension(jamia, 0.0), holding_goals(jamia, HIGH_N, AT_ONCE), 0.0, most, kept
+    )
     np.testing.assert_allclose(command.tension, limit)
     asked = command.torque / jamia.space.spool
     np.testing.assert_allclose(asked, limit + jamia.space.coulomb)
@@ -37,7 +39,9 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
 
 
 def test_without_a_limit_the_goal_is_what_is_asked(jamia: HandModel) -> None:
-    law, command = step(jamia, idle(jamia), under(jamia, 0.0), holding(jamia, HIGH_N, AT_ONCE), 0.0)
+    law, command = step(
+        jamia, idle(jamia), estimate_under_tension(jamia, 0.0), holding_goals(jamia, HIGH_N, AT_ONCE), 0.0
+    )
     np.testing.assert_allclose(command.tension, HIGH_N)
     assert (command.torque / jamia.space.spool > HIGH_N).all()
     assert law.held is None
@@ -45,8 +49,16 @@ def test_without_a_limit_the_goal_is_what_is_asked(jamia: HandModel) -> None:
 
 def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety_holds(jamia: HandModel) -> None:
     n = jamia.tendon_count
-    free = step(jamia, idle(jamia), under(jamia, 5.0), moving(jamia, 0.0, 1.2, 0.2), 0.1)[1]
-    kept = step(jamia, idle(jamia), under(jamia, 5.0), moving(jamia, 0.0, 1.2, 0.2), 0.1, None, np.full(n, 6.0))[1]
+    free = step(jamia, idle(jamia), estimate_under_tension(jamia, 5.0), moving_goals(jamia, 0.0, 1.2, 0.2), 0.1)[1]
+    kept = step(
+        jamia,
+        idle(jamia),
+        estimate_under_tension(jamia, 5.0),
+        moving_goals(jamia, 0.0, 1.2, 0.2),
+        0.1,
+        None,
+        np.full(n, 6.0),
+    )[1]
     assert (free.torque / jamia.space.spool > 6.0 + jamia.space.coulomb).all()
     np.testing.assert_array_less(kept.torque / jamia.space.spool, 6.0 + jamia.space.coulomb + 1e-9)
     np.testing.assert_allclose(kept.q, free.q)
@@ -56,20 +68,20 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
 
 @pytest.mark.parametrize("held", [True, False])
 def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
-    asked = holding(jamia, 20.0, AT_ONCE) if held else moving(jamia, 0.0, 1.2, 0.2)
-    plain = step(jamia, idle(jamia), under(jamia, 20.0), asked, 0.0)[1]
+    asked = holding_goals(jamia, 20.0, AT_ONCE) if held else moving_goals(jamia, 0.0, 1.2, 0.2)
+    plain = step(jamia, idle(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0)[1]
     trimmed = idle(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
-    law, command = step(jamia, trimmed, under(jamia, 20.0), asked, 0.0)
+    law, command = step(jamia, trimmed, estimate_under_tension(jamia, 20.0), asked, 0.0)
     np.testing.assert_allclose((command.torque - plain.torque) / jamia.space.spool, 2.0)
     assert law.trim is not None
     np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_TIME_S), rtol=1e-3)
     nearly = trimmed._replace(trim=np.full(jamia.tendon_count, MIN_TRIM_N / 2))
-    assert step(jamia, nearly, under(jamia, 20.0), asked, 0.0)[0].trim is None
+    assert step(jamia, nearly, estimate_under_tension(jamia, 20.0), asked, 0.0)[0].trim is None
 
 
 def test_limp_digits_have_no_trim(jamia: HandModel) -> None:
-    goals = (*holding(jamia, 20.0, AT_ONCE)[:3], DigitGoal(Kind.LIMP))
+    goals = (*holding_goals(jamia, 20.0, AT_ONCE)[:3], DigitGoal(Kind.LIMP))
     trimmed = idle(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
-    _, command = step(jamia, trimmed, under(jamia, 20.0), goals, 0.0)
+    _, command = step(jamia, trimmed, estimate_under_tension(jamia, 20.0), goals, 0.0)
     assert command.torque[3] == 0.0
     assert np.isnan(command.tension[3])

@@ -34,7 +34,7 @@ def change(values: Mapping[str, float]) -> str:
     return json.dumps({"do": "gains", "set": values})
 
 
-def desk_of(model: HandModel) -> Bench:
+def noiseless_hand(model: HandModel) -> Bench:
     """Return the simulated hand with noiseless load cells, taut and waiting."""
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
     peer = load_peer("firmware_sim.rig:Rig", **options)
@@ -48,7 +48,7 @@ def desk_of(model: HandModel) -> Bench:
 @pytest.fixture
 def holding(jamia: HandModel) -> Bench:
     """Return a hand whose tensions rise, so that the loops have errors."""
-    desk = desk_of(jamia)
+    desk = noiseless_hand(jamia)
     desk.tick(HOLD)
     desk.run(0.1)
     return desk
@@ -111,7 +111,7 @@ def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jam
 Call = tuple[Controller, State, State, Action, int]
 
 
-def recorded(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
+def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
     """Record calls of the control law: tendons, state before and after, demand of the monitor, and ticks."""
     calls, real = list[Call](), Controller._compute_torques
 
@@ -138,12 +138,12 @@ def test_a_change_makes_no_step_in_torque(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch, request_: str, values: dict[str, float]
 ) -> None:
     """In the tick of the change, new gains plus trim give the command of the old gains."""
-    desk = desk_of(jamia)
+    desk = noiseless_hand(jamia)
     desk.tick(request_)
     desk.run(0.1)
     for _ in range(design_piece_count(jamia.space) - 1):
         desk.tick(change(values)) if desk.state.decisions.pending is None else desk.tick()
-    calls = recorded(monkeypatch)
+    calls = record_law_calls(monkeypatch)
     out = desk.tick()
     assert any(event.name == "gain" for event in out.events)
     assert desk.state.whole(s.TRIMMED)
@@ -160,12 +160,12 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Otherwise the limited part becomes a trim that makes the tendon slack."""
-    desk = desk_of(jamia)
+    desk = noiseless_hand(jamia)
     desk.tick(MOVE)
     desk.run(0.05)
     judge = Controller._judge
     monkeypatch.setattr(Controller, "_judge", lambda self, *words: (Action.HOLD, judge(self, *words)[1]))
-    calls = recorded(monkeypatch)
+    calls = record_law_calls(monkeypatch)
     desk.tick(change({"motion.force_N": 60.0}))
     while desk.state.decisions.pending is not None:
         calls.clear()

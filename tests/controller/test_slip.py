@@ -15,24 +15,24 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.grip import OPENING_M, Grip, GripPlan, advance_grip
 from handctl.programs.task import Task
 from tests.controller.plant_run import run_on_plant
-from tests.controller.synthetic import Estimate, blank, concluded, under
+from tests.controller.synthetic import Estimate, active_state, detect_contacts, estimate_under_tension
 
 TENSION_N = 20.0
 
 
-class Held:
+class GraspRun:
     """A grasp of all digits but the last, tick by tick on synthetic estimates."""
 
     def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
-        self.model, self.quiet = model, under(model, TENSION_N, 0.5)
+        self.model, self.quiet = model, estimate_under_tension(model, TENSION_N, 0.5)
         sizes = [tendons.stop - tendons.start for tendons in model.digit_tendons]
         held = [DigitGoal(Kind.TENSION, tension=np.full(size, TENSION_N)) for size in sizes]
         self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
         self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
         self.t = 0.0
         self.grip = Grip.of(model, self.goals, self.quiet, self.t)
-        self.state = blank(model)
-        concluded(model, self.state, self.quiet)
+        self.state = active_state(model)
+        detect_contacts(model, self.state, self.quiet)
         self.state.set_whole(s.GRIPPING, 1)
         self.events: list[Event] = []
 
@@ -40,7 +40,7 @@ class Held:
         for _ in range(round(seconds / self.model.period)):
             self.state.goal_time = self.t
             self.state.set_number(s.GRIP_READY, self.grip.ready)
-            felt = concluded(self.model, self.state, estimate)
+            felt = detect_contacts(self.model, self.state, estimate)
             self.t += self.model.period
             self.grip, self.goals, events = advance_grip(self.model, self.grip, self.plan, self.goals, felt, self.t)
             self.events += events
@@ -58,7 +58,7 @@ class Held:
 
 
 def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -> None:
-    held = Held(model, limit=30.0)
+    held = GraspRun(model, limit=30.0)
     held.tick(held.quiet, 1.0)
     assert not held.events
     held.tick(held.moved(-3 * OPENING_M), 0.06)
@@ -69,7 +69,7 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
 
 
 def test_the_limit_is_kept_and_said_once(model: HandModel) -> None:
-    held = Held(model, limit=26.0)
+    held = GraspRun(model, limit=26.0)
     held.tick(held.quiet, 1.0)
     for step in range(1, 8):
         held.tick(held.moved(-3 * step * OPENING_M), 0.5)
@@ -78,7 +78,7 @@ def test_the_limit_is_kept_and_said_once(model: HandModel) -> None:
 
 
 def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -> None:
-    held = Held(model)
+    held = GraspRun(model)
     held.tick(held.quiet, 1.0)
     held.tick(held.moved(-3 * OPENING_M), 0.5)
     assert [event.level for event in held.events] == ["warn"]
@@ -86,7 +86,7 @@ def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -
 
 
 def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
-    held = Held(model, limit=30.0)
+    held = GraspRun(model, limit=30.0)
     held.tick(held.moved(-5 * OPENING_M), 0.2)
     held.tick(held.quiet, 1.0)
     held.tick(held.moved(5 * OPENING_M), 1.0)
@@ -98,7 +98,7 @@ def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> N
 
 
 def test_a_stiff_grip_pulls_back_what_is_pulled_out(model: HandModel) -> None:
-    held = Held(model, limit=np.nan, stiffness=5e3)
+    held = GraspRun(model, limit=np.nan, stiffness=5e3)
     held.tick(held.quiet, 1.0)
     held.tick(held.moved(-0.2e-3), 0.01)
     assert held.tension == pytest.approx(TENSION_N + 1.0, abs=0.01)

@@ -15,7 +15,7 @@ from handctl.core.model import HandModel
 from handctl.core.schema import Block, Places
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import forward_kinematics, tip_jacobian
-from tests.controller.synthetic import blank, constants, efficiency, load_statics
+from tests.controller.synthetic import active_state, constants, efficiency, load_statics
 
 
 @kernel("constants", "layout", "vector")
@@ -30,7 +30,7 @@ def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     return _static_torque(*constants(model), q)
 
 
-def stood(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
+def filter_table_at(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
     """Return a filter table (N, 7) of a hand at given coordinates."""
     table = np.zeros((model.tendon_count, STATES))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
@@ -43,7 +43,7 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
         theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
-        found = load_statics(model, stood(model, theta), np.zeros(model.tendon_count)).resistance
+        found = load_statics(model, filter_table_at(model, theta), np.zeros(model.tendon_count)).resistance
         for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
             h = 1e-6
 
@@ -58,12 +58,14 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
 def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model: HandModel) -> None:
     theta = [np.full(digit.coupling.shape[1], 0.6) for digit in model.digits]
     tension = np.full(model.tendon_count, 20.0)
-    still, closing, opening = (load_statics(model, stood(model, theta, v), tension) for v in (0.0, 0.05, -0.05))
+    still, closing, opening = (
+        load_statics(model, filter_table_at(model, theta, v), tension) for v in (0.0, 0.05, -0.05)
+    )
     np.testing.assert_allclose(still.pull, tension)
     assert (closing.pull < tension).all()
     assert (opening.pull > tension).all()
     np.testing.assert_allclose(closing.pull * opening.pull, tension**2, rtol=0.12)
-    known = load_statics(model, stood(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0))
+    known = load_statics(model, filter_table_at(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0))
     np.testing.assert_allclose(known.pull, closing.pull, err_msg="what is known of friction goes before the speed")
     np.testing.assert_allclose(
         known.eager, opening.pull, err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost"
@@ -84,7 +86,7 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
             arm = tendon.moment_arm_m.get(joint, 0.0)
             passed += q[j] if arm else 0.0
             torque[j] += arm * tension[i] * math.exp(-tendon.friction_coefficient * developed[i] * passed)
-    found = load_statics(model, stood(model, theta), tension, developed)
+    found = load_statics(model, filter_table_at(model, theta), tension, developed)
     np.testing.assert_allclose(found.pull, model.torque_to_tension @ torque, rtol=1e-9)
 
 
@@ -107,7 +109,7 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
     for _ in range(50):
         q, external = rng.uniform(-0.2, 1.8, len(model.hand.joints)), rng.normal(size=model.tendon_count) * 20.0
         torque = static_torque_of(model, q)
-        state = blank(model)
+        state = active_state(model)
         state.view("q")[...], state.view("external")[...] = q, external
         stages.store_commands(state.block, state.layout.places, *constants(model))
         force = state.view("tip_force")

@@ -18,7 +18,7 @@ from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
 
 
-def lively(name: str) -> Bench:
+def run_session(name: str) -> Bench:
     """Return a whole live session: arming, moving, holding, a lost frame, a fault, and relaxing."""
     rate = {"jamia": 200.0, "jamia11": 200.0}[name]
     run = bench(HandModel.of(load_hand(name), Gains(), rate), LiveProgram())
@@ -40,7 +40,7 @@ def lively(name: str) -> Bench:
 
 @pytest.fixture(scope="module", params=["jamia", "jamia11"])
 def session(request: pytest.FixtureRequest) -> Bench:
-    return lively(request.param)
+    return run_session(request.param)
 
 
 def bytes_of(out: TickOut) -> tuple[object, ...]:

@@ -9,20 +9,20 @@ from handctl.programs.live import JogProgram
 from handctl.programs.requests import MoveDigits
 from tests.controller.law_runs import limit_of, warm
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic import Estimate, at_rest, blank, concluded, known
+from tests.controller.synthetic import Estimate, active_state, balanced_state, detect_contacts, exact_estimate
 
 
-def pulled(model: HandModel, external: float) -> Estimate:
+def estimate_with_unexplained_tension(model: HandModel, external: float) -> Estimate:
     """Return an estimate of a hand at rest with an unexplained tension in every tendon [N]."""
-    return known(model, at_rest(model, 0.5))._replace(external=np.full(model.tendon_count, external))
+    return exact_estimate(model, balanced_state(model, 0.5))._replace(external=np.full(model.tendon_count, external))
 
 
 def test_a_lasting_tension_blocks_and_a_short_one_does_not(model: HandModel) -> None:
-    state, lasting = blank(model), round(0.1 / model.period)
+    state, lasting = active_state(model), round(0.1 / model.period)
 
     def feel(external: float, ticks: int) -> np.ndarray:
         for _ in range(ticks):
-            concluded(model, state, pulled(model, external))
+            detect_contacts(model, state, estimate_with_unexplained_tension(model, external))
         return state.view("blocked")
 
     assert not feel(2.0 * BLOCKED_ABOVE_N, 1).any(), "one tick of it"
@@ -32,7 +32,7 @@ def test_a_lasting_tension_blocks_and_a_short_one_does_not(model: HandModel) -> 
 
 
 def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> None:
-    state = blank(model)
+    state = active_state(model)
     state.view("planned")[...] = 20.0
     state.view("planned")[model.digit_tendons[1]] = 0.0
     assert np.isinf(limit_of(model, state)).all()

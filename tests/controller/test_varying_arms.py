@@ -21,8 +21,8 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import Simulator, homed_controller
 from tests.conftest import NIGHTLY
-from tests.controller.synthetic import blank
-from tests.hand.varied import varied
+from tests.controller.synthetic import active_state
+from tests.hand.varied import with_varying_arms
 
 HANDS = packaged_hands()
 RATE_HZ = 400.0
@@ -44,7 +44,7 @@ def _arm(block: Block, at: Places, constants: Block, constants_at: Places, n: in
 
 @cache
 def model_of(name: str, fraction: float = 0.3) -> HandModel:
-    return HandModel.of(varied(name, fraction), Gains(), RATE_HZ)
+    return HandModel.of(with_varying_arms(name, fraction), Gains(), RATE_HZ)
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -53,7 +53,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None
     constants = HandConstants(model, {})
     for seed in SEEDS:
         chance = np.random.default_rng(seed)
-        state = blank(model)
+        state = active_state(model)
         q = np.zeros(len(model.hand.joints))
         for digit in model.digits:
             low, high = digit.reach
@@ -88,7 +88,7 @@ FIELDS = ("excursion_to_joints", "angle_offset", "moment_arms", "torque_to_tensi
 def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
     model = model_of("jamia11")
     constants = HandConstants(model, {})
-    state = blank(model)
+    state = active_state(model)
     places = (state.block, state.layout.places, constants.block, constants.layout.places)
     for q in np.random.default_rng(3).uniform(-0.2, 2.0, 20).tolist():
         step = 1e-5
@@ -123,8 +123,8 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
 @pytest.mark.parametrize("name", ["jamia11", "n_plus_1"])
 def test_arms_by_angle_track_better_than_constant_arms(name: str, seed: int) -> None:
     """The simulated arms vary by 30 % either way. With mean arms the controller takes the excursion for that of R q."""
-    hand = varied(name, 0.3, encoders=False)
-    constant = varied(name, 0.0, encoders=False)
+    hand = with_varying_arms(name, 0.3, encoders=False)
+    constant = with_varying_arms(name, 0.0, encoders=False)
     with_arms = tracking_error_deg(HandModel.of(hand, Gains(), RATE_HZ), hand, seed)
     with_mean = tracking_error_deg(HandModel.of(constant, Gains(), RATE_HZ), hand, seed)
     assert with_arms < 1.0

@@ -72,7 +72,7 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> 
         assert run.state.view("setpoint").max() <= present.max()
 
 
-def fastest_fall(run: Bench, index: int = 0) -> float:
+def fastest_setpoint_fall(run: Bench, index: int = 0) -> float:
     """Return the fastest decrease of a tendon's setpoint while the hand relaxes [N/s]."""
     goals = [out.telemetry.tension_goal[index] for _, _, out in run.history if out.mode == Mode.RELAX]
     return float(-np.diff(goals).min() / run.controller.model.period)
@@ -87,13 +87,13 @@ def test_over_tension_is_let_go_of_four_times_as_fast(quick: HandModel, late: bo
     if late:
         run.tick(STOP)
         run.run(0.02)
-        assert fastest_fall(run) == pytest.approx(RELAX_RATE_N_PER_S)
+        assert fastest_setpoint_fall(run) == pytest.approx(RELAX_RATE_N_PER_S)
     run.peer.bias[0] = 150.0 - run.peer.tension[0]
     run.run(2 * quick.period)
     run.peer.bias[0] = 0.0
     run.until(Mode.DISARM)
     assert next(event.text for event in run.events if event.name == "fault").startswith("T03 ")
-    assert fastest_fall(run) == pytest.approx(OVER_TENSION_RATE_N_PER_S)
+    assert fastest_setpoint_fall(run) == pytest.approx(OVER_TENSION_RATE_N_PER_S)
 
 
 @pytest.mark.parametrize("asked", [STOP, CUT])

@@ -82,7 +82,9 @@ class BlindRun:
         return (np.array(self.tension)[rows] - np.array(self.true)[rows]) / np.array(self.sigma)[rows]
 
 
-def seen(program: Program, scene: str | None, seed: int, *faults: str, limit_s: float = 30.0) -> BlindRun:
+def run_without_sensors(
+    program: Program, scene: str | None, seed: int, *faults: str, limit_s: float = 30.0
+) -> BlindRun:
     """Run a program on a homed hand without sensors. The faults have their times."""
     rows = BlindRun()
     with Simulator(without(), scene, seed, homed=True).against(homed_controller(model_of(), program)) as run:
@@ -117,7 +119,7 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(bare: tuple[str, ...]
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_it_grasps_holds_and_lets_go_and_the_error_is_within_its_sigma(seed: int) -> None:
-    rows = seen(TaskProgram(TASK), "cylinder", seed)
+    rows = run_without_sensors(TaskProgram(TASK), "cylinder", seed)
     assert not [event.text for event in rows.events if event.level == "error"]
     assert {event.where for event in rows.events if event.name == "contact"} == {"index", "middle", "ring", "thumb"}
     assert rows.height == pytest.approx(0.0, abs=3e-3)
@@ -170,6 +172,6 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
     ],
 )
 def test_faults_that_need_no_load_cell_are_found(fault: str, expected: tuple[str, ...]) -> None:
-    rows = seen(TaskProgram(TASK), "cylinder", 0, fault)
+    rows = run_without_sensors(TaskProgram(TASK), "cylinder", 0, fault)
     found = {event.text.split()[0] for event in rows.events if event.name == "fault"}
     assert found & set(expected), rows.events[-5:]

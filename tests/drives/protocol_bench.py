@@ -108,7 +108,7 @@ class Bench:
         self.tick(DriveTarget.POLL, extra=frames)
 
 
-def described(protocol: str, node: int, torque: float, options: dict[str, object], **changes: object) -> Motor:
+def motor_on_bench(protocol: str, node: int, torque: float, options: dict[str, object], **changes: object) -> Motor:
     """Return the section of a motor alone on a bench, with the ranges of a Damiao motor."""
     return Motor.model_validate(
         {

@@ -215,7 +215,7 @@ def is_a_drive(node: Any) -> None:
     node.objects[0x1000, 0] = 0x0002_0192
 
 
-def refuses_the_type(node: Any) -> None:
+def without_synchronous_type(node: Any) -> None:
     """Refuse the synchronous transmission type."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x1800, 2) else write(key, raw)
@@ -224,7 +224,7 @@ def refuses_the_type(node: Any) -> None:
 WRONG: dict[str, tuple[Callable[[Any], None], str]] = {
     "unit": (ignores_unit, "object 0x6131:2 reads 0xfd0000 after writing, expected 0x210000"),
     "profile": (is_a_drive, "object 0x1000:0 reads 0x20192, expected 0x194"),
-    "transmission type": (refuses_the_type, "object 0x1800:2 reads 0xfe after writing, expected 0x1"),
+    "transmission type": (without_synchronous_type, "object 0x1800:2 reads 0xfe after writing, expected 0x1"),
 }
 
 

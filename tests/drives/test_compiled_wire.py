@@ -29,7 +29,7 @@ NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
 
 @cache
-def enabled(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
+def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
     """Return an enabled drive, its state, the time [ns], and its frames of a few ticks."""
     variant = VARIANTS[name]
     with TemporaryDirectory() as folder:
@@ -73,7 +73,7 @@ def some_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Fr
     return frame._replace(data=bytes(data))
 
 
-def same(one: DriveState, other: DriveState, drive: Drive) -> bool:
+def are_states_equal(one: DriveState, other: DriveState, drive: Drive) -> bool:
     """Return True if two states are equal. The heartbeat of a CiA 402 drive may be in its feedback time."""
     if isinstance(drive, Cia402Drive):
         one, other = (
@@ -95,7 +95,7 @@ def wants(chance: random.Random) -> Iterator[DriveTarget]:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", VARIANTS)
 def test_compiled_code_and_the_state_machine_are_one(name: str, seed: int) -> None:
-    drive, begin, t_ns, heard = enabled(name)
+    drive, begin, t_ns, heard = enable_drive(name)
     chance = random.Random(f"{name} {seed}")
     state, wired, steady = begin, Wired([drive], NO_SENSORS), 0
     wired.keep(0, begin)
@@ -107,19 +107,19 @@ def test_compiled_code_and_the_state_machine_are_one(name: str, seed: int) -> No
             state = drive.receive(state, frame)
             wired.receive([frame])
             steady += not wired.seen
-            assert same(wired.drive(0), state, drive), frame
+            assert are_states_equal(wired.drive(0), state, drive), frame
         torque = chance.uniform(-drive.torque_limit, drive.torque_limit)
         state, frames = drive.advance(state, t_ns, target, torque)
         assert wired.send(target, [torque], t_ns) == list(frames)
-        assert same(wired.drive(0), state, drive)
+        assert are_states_equal(wired.drive(0), state, drive)
         if drive.steady_status(state) == UNSTEADY and chance.random() < 0.3:
-            state = revived(begin, t_ns)
+            state = enabled_now(begin, t_ns)
             wired.keep(0, state)
         t_ns += PERIOD_NS
     assert steady > TICKS // 4, "compiled code has hardly read a frame"
 
 
-def revived(state: DriveState, t_ns: int) -> DriveState:
+def enabled_now(state: DriveState, t_ns: int) -> DriveState:
     """Return the state of an enabled drive as if it had been enabled now."""
     private = state.private
     clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
@@ -131,7 +131,7 @@ def revived(state: DriveState, t_ns: int) -> DriveState:
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_invalid_torque_is_never_sent(name: str) -> None:
-    drive, state, t_ns, _ = enabled(name)
+    drive, state, t_ns, _ = enable_drive(name)
     beyond = math.nextafter(drive.torque_limit, math.inf)
     for torque in (math.nan, math.inf, -math.inf, beyond, -beyond):
         wired = Wired([drive], NO_SENSORS)
@@ -148,7 +148,7 @@ def test_invalid_torque_is_never_sent(name: str) -> None:
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
-    drive, state, t_ns, _ = enabled(name)
+    drive, state, t_ns, _ = enable_drive(name)
     assert drive.steady_status(state) != UNSTEADY
     due = drive.due_ns(state)
     assert due > t_ns - PERIOD_NS
@@ -159,7 +159,7 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
 @pytest.mark.parametrize("name", VARIANTS)
 def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
     """Compare commands and replies. A drive may also read a table of unsolicited or rare messages."""
-    drive, _, _, _ = enabled(name)
+    drive, _, _, _ = enable_drive(name)
     told = sorted((message.length, bool(message.flags)) for message in drive.cyclic.commands)
     asked = len(drive.cyclic.commands) - 1 if isinstance(drive, OdriveDrive) else 1
     planned = list(drive.exchange)

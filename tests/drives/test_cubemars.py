@@ -16,7 +16,7 @@ from handctl.drives.mit.cubemars import MODELS, CubemarsDrive
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
-from tests.drives.protocol_bench import Bench, described, hand_file, servo_torques
+from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, servo_torques
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
 STEP_N_M = 36.0 / 4095
@@ -103,7 +103,7 @@ def test_missing_guards_are_reported(tmp_path: Path) -> None:
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
     """CubeMars AK Series Actuator Driver Manual, 5.3: -40 to 215. Some motors send the value without an offset."""
     for more, told in (({}, 45.0), ({"temperature_offset_C": 0}, 85.0), ({"temperature_offset_C": -40.0}, 45.0)):
-        drive = make_drive(described("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more), 0)
+        drive = make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more), 0)
         state = drive.receive(drive.initial(), Frame(1, bytes((1, 0x80, 0, 0x80, 8, 0, 85, 0))))
         assert state.temperature == told
 
@@ -111,7 +111,7 @@ def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
 @pytest.mark.parametrize("offset", [True, "cold", 40])
 def test_another_offset_of_temperature_is_refused(offset: object) -> None:
     with pytest.raises(ConfigError, match="temperature_offset_C") as told:
-        make_drive(described("cubemars", 1, 18.0, {"motor_type": "ak80-9", "temperature_offset_C": offset}), 0)
+        make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9", "temperature_offset_C": offset}), 0)
     assert "-40 or 0" in str(told.value)
 
 
@@ -166,9 +166,9 @@ def test_host_and_simulator_have_the_same_ranges(model: str) -> None:
 )
 def test_options_that_make_no_motor_are_refused(options: dict[str, object], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        make_drive(described("cubemars", 1, 0.8, options), 0)
+        make_drive(motor_on_bench("cubemars", 1, 0.8, options), 0)
     with pytest.raises(ConfigError, match="at most 18"):
-        make_drive(described("cubemars", 1, 20.0, {"motor_type": "ak80-9"}), 0)
+        make_drive(motor_on_bench("cubemars", 1, 20.0, {"motor_type": "ak80-9"}), 0)
 
 
 def test_tmotorcancontrol_decodes_the_same_values() -> None:
@@ -178,7 +178,7 @@ def test_tmotorcancontrol_decodes_the_same_values() -> None:
     mit_can.CAN_Manager.__del__ = lambda self: None
     sent: list[bytes] = []
     manager.send_MIT_message = lambda _, data: sent.append(bytes(data))
-    drive = make_drive(described("cubemars", 1, 18.0, {"motor_type": "ak80-9"}), 0)
+    drive = make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9"}), 0)
     assert isinstance(drive, CubemarsDrive)
     for torque in (-18.0, -1.0, 0.3, 18.0):
         manager.MIT_controller(1, "AK80-9", 0.0, 0.0, 0.0, 0.0, torque)

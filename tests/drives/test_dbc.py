@@ -77,12 +77,12 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
                 names |= {hand.joints[j]: value for j, value in wired.joints.items()}
                 assert told == pytest.approx({name: names[name] for name in told}, abs=1e-9)
                 seen["sensors"] += 1
-        seen["torques"] += sum(commanded(dbc, frame, bench, torque) for frame in bench.sent)
+        seen["torques"] += sum(is_torque_command(dbc, frame, bench, torque) for frame in bench.sent)
     assert min(seen[name] for name in ("position", "sensors")) >= TICKS // 4
     assert seen["torques"] == (0 if hand.motor[0].protocol in ("cubemars", "robstride") else 4 * TICKS)
 
 
-def commanded(dbc: Database, frame: Frame, bench: Bench, torque: float) -> bool:
+def is_torque_command(dbc: Database, frame: Frame, bench: Bench, torque: float) -> bool:
     """Return True for a command with a torque. Check that it is the sent torque within one count."""
     for drive in bench.drives:
         for message in drive.cyclic.commands:

@@ -17,7 +17,7 @@ def until(course: Simulation, mode: Mode) -> None:
     assert course.until(lambda out: out.mode == mode, 3.0), course.state.failure
 
 
-def after_silence(course: Simulation) -> Simulation:
+def run_again(course: Simulation) -> Simulation:
     """Return a second run on the same drives, one second after the end of the first."""
     for k in range(SILENCE_TICKS):
         course.peer.step((course.k + k) * course.period_ns, [])
@@ -32,7 +32,7 @@ def test_after_a_good_end_the_next_run_finds_no_fault(protocol: str, tmp_path: P
         course.tick(requests=('{"do": "stop"}',))
         until(course, Mode.DONE)
         assert course.state.failure == ""
-        until(after_silence(course), Mode.READY)
+        until(run_again(course), Mode.READY)
 
 
 def test_after_a_failure_cia402_drives_stay_supervised(tmp_path: Path) -> None:

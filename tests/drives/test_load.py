@@ -34,7 +34,7 @@ PAYLOADS = st.lists(st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0x0F, 
 """Payloads of all kinds, and often of those that need many stuff bits."""
 
 
-def stuffed(bits: str) -> str:
+def stuff_bits(bits: str) -> str:
     """Return the bits with stuff bits: after five equal bits, stuff bits included, follows an opposite bit."""
     out = ""
     for bit in bits:
@@ -59,14 +59,14 @@ def crc15(bits: str) -> str:
 def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: bytes) -> None:
     head = "0" + format(can_id, "011b") + "000" + format(len(data), "04b")
     body = head + "".join(format(byte, "08b") for byte in data)
-    bits = len(stuffed(body + crc15(body))) + 13
+    bits = len(stuff_bits(body + crc15(body))) + 13
     assert bits / NOMINAL <= frame_time_s(len(data), False, NOMINAL) + 1e-12
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
     """A frame of zeros nearly reaches the bound of classical frames."""
     body = "0" * 19 + "0" * 64
-    bits = len(stuffed(body + crc15(body))) + 13
+    bits = len(stuff_bits(body + crc15(body))) + 13
     assert bits > 0.85 * 135
 
 

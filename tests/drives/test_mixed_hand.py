@@ -15,10 +15,10 @@ from handctl.drives.odrive.discovery import FREE_NUMBERS
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
-from tests.drives.protocol_bench import Bench, described, hand_file, on_two_buses
+from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, on_two_buses
 
 
-def mixed(folder: Path) -> Path:
+def mixed_hand(folder: Path) -> Path:
     """Return MIT and ODrive beside the load cells, and two CiA 402 drives on a second bus, one of which sends SYNC."""
     path = on_two_buses(hand_file(folder, ["mit", "odrive", "cia402"]))
     head, *motors = path.read_text().split("[[motor]]")
@@ -28,7 +28,7 @@ def mixed(folder: Path) -> Path:
 
 
 def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
-    bench = Bench(mixed(tmp_path))
+    bench = Bench(mixed_hand(tmp_path))
     assert [drive.bus for drive in bench.drives] == [0, 0, 1, 1]
     bench.until(DriveTarget.POLL, Phase.READY)
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
@@ -152,23 +152,23 @@ def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canope
     assert [(int(first, 16), int(last, 16)) for first, last in pairs] == [(a[0], a[-1]) for a in FREE_NUMBERS]
     options = {"rated_torque_N_m": 0.4, "counts_per_turn": 65536}
     others = [("sensor", make_sensors(load_hand("jamia11")))]
-    canopen = [make_drive(described("cia402", node, 0.8, options), 0) for node in range(1, 0x7F)]
+    canopen = [make_drive(motor_on_bench("cia402", node, 0.8, options), 0) for node in range(1, 0x7F)]
     for node in (number for numbers in FREE_NUMBERS for number in numbers):
-        drive = make_drive(described("odrive", node, 0.8, {}), 0)
+        drive = make_drive(motor_on_bench("odrive", node, 0.8, {}), 0)
         check_identifiers([*others, ("odrive", drive)])
         for other in canopen:
             check_identifiers([("odrive", drive), ("cia402", other)])
     with pytest.raises(ConfigError, match="has two meanings"):
-        check_identifiers([("odrive", make_drive(described("odrive", 0x10, 0.8, {}), 0)), ("cia402", canopen[0])])
+        check_identifiers([("odrive", make_drive(motor_on_bench("odrive", 0x10, 0.8, {}), 0)), ("cia402", canopen[0])])
 
 
 @pytest.mark.parametrize(("cubemars", "mit", "reply"), [(5, 5, 0x15), (5, 0x21, 5), (5, 1, 0x80)])
 def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(cubemars: int, mit: int, reply: int) -> None:
     """A CubeMars motor replies on its number. Here it is a command or reply of a Damiao motor, or SYNC."""
     sensors = make_sensors(load_hand("jamia"))
-    first = make_drive(described("cubemars", cubemars, 0.8, {"motor_type": "ak80-9"}), 0)
-    second = make_drive(described("mit", mit, 0.8, {"reply_id": reply}), 0)
+    first = make_drive(motor_on_bench("cubemars", cubemars, 0.8, {"motor_type": "ak80-9"}), 0)
+    second = make_drive(motor_on_bench("mit", mit, 0.8, {"reply_id": reply}), 0)
     with pytest.raises(ConfigError, match=r"^second: identifier .* has two meanings"):
         check_identifiers([("sensor", sensors), ("first", first), ("second", second)])
-    elsewhere = make_drive(described("mit", mit, 0.8, {"reply_id": reply}), 1)
+    elsewhere = make_drive(motor_on_bench("mit", mit, 0.8, {"reply_id": reply}), 1)
     check_identifiers([("first", first), ("second", elsewhere)])

@@ -14,7 +14,7 @@ from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from handctl.runtime.diagnostics.scan import scan_bus
-from tests.drives.protocol_bench import described
+from tests.drives.protocol_bench import motor_on_bench
 from tests.drives.virtual_bench import NODE, VirtualBench, rig_on
 
 OLD = {"firmware": "0.5"}
@@ -82,7 +82,7 @@ def test_a_scan_names_it():
 )
 def test_options_missing_in_odrive_05_are_refused(options, said):
     with pytest.raises(ConfigError, match=said):
-        make_drive(described("odrive", NODE, 0.1, options), 0)
+        make_drive(motor_on_bench("odrive", NODE, 0.1, options), 0)
 
 
 def test_its_heartbeat_is_the_vendors():
@@ -105,6 +105,6 @@ def test_its_heartbeat_is_the_vendors():
 
 
 def test_a_heartbeat_of_the_new_kind_is_not_taken_for_an_old_one_with_flags():
-    drive = make_drive(described("odrive", NODE, 0.1, {}), 0)
+    drive = make_drive(motor_on_bench("odrive", NODE, 0.1, {}), 0)
     beat = Frame(NODE << 5 | 1, struct.pack("<IBBBB", 0, 1, 3, 0, 0), 0, 0, 10)
     assert drive.receive(drive.initial(), beat).phase != Phase.FAULT

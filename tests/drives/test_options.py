@@ -11,7 +11,7 @@ from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
-from tests.drives.protocol_bench import described, hand_file
+from tests.drives.protocol_bench import hand_file, motor_on_bench
 
 CIA402 = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
 
@@ -32,7 +32,7 @@ def test_a_number_that_rounds_to_nothing_is_refused(
     protocol: str, options: dict[str, object], key: str, right: str
 ) -> None:
     with pytest.raises(ConfigError) as told:
-        make_drive(described(protocol, 1, 0.01, options), 0)
+        make_drive(motor_on_bench(protocol, 1, 0.01, options), 0)
     assert key in str(told.value)
     assert right in str(told.value)
 
@@ -40,16 +40,16 @@ def test_a_number_that_rounds_to_nothing_is_refused(
 @pytest.mark.parametrize("heartbeat", [1, 50.0, 1000])
 def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
     for protocol, options in (("cia402", CIA402), ("odrive", {})):
-        drive = make_drive(described(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0)
+        drive = make_drive(motor_on_bench(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0)
         assert drive.background[0][2] > 999.0 / heartbeat, "as often at least as it is told"
 
 
 def test_position_step_is_reported() -> None:
     """An encoder of 1000 counts is coarser than 16 bit over the range, and the filter needs its resolution."""
     coarse = CIA402 | {"counts_per_turn": 1000, "gear_ratio": 2.0}
-    assert make_drive(described("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(math.pi / 1000)
-    assert make_drive(described("mit", 1, 0.01, {}), 0).position_step == pytest.approx(25.0 / 65535)
-    assert make_drive(described("odrive", 1, 0.01, {}), 0).position_step == 0.0
+    assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(math.pi / 1000)
+    assert make_drive(motor_on_bench("mit", 1, 0.01, {}), 0).position_step == pytest.approx(25.0 / 65535)
+    assert make_drive(motor_on_bench("odrive", 1, 0.01, {}), 0).position_step == 0.0
 
 
 @pytest.mark.parametrize(("counts", "step"), [(1000, math.tau / 1000), (1 << 20, 25.0 / 65535)])

@@ -44,7 +44,7 @@ def first_cia402(bench: Bench) -> Cia402Node:
     return node
 
 
-def first_in(bench: Bench, phase: Phase, target: DriveTarget, ticks: int) -> str:
+def error_of_first_drive(bench: Bench, phase: Phase, target: DriveTarget, ticks: int) -> str:
     """Run ticks until the first drive is in a phase. Return its error text."""
     for _ in range(ticks):
         bench.tick(target)
@@ -53,7 +53,7 @@ def first_in(bench: Bench, phase: Phase, target: DriveTarget, ticks: int) -> str
     raise AssertionError(bench.states[0])
 
 
-def losing(node: OdriveNode, command: int, start: bytes = b"", times: int = 1) -> list[WireFrame]:
+def lose_first_frames(node: OdriveNode, command: int, start: bytes = b"", times: int = 1) -> list[WireFrame]:
     """Lose the first frames of a command to the first ODrive whose data start so. Return the lost frames."""
     taken, lost = node.receive, list[WireFrame]()
 
@@ -93,7 +93,7 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench,
 def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: Bench, command: int) -> None:
     """The drive does not confirm it. In position control the first torque would be a position jump."""
     node = first_odrive(odrive)
-    lost = losing(node, command)
+    lost = lose_first_frames(node, command)
     before = node.velocity_limit
     odrive.until(DriveTarget.ENABLE, Phase.ENABLED)
     assert lost
@@ -105,12 +105,12 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: B
 def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, losses: int) -> None:
     """No reply confirms a write. With one lost frame in 1000, one start in ten of 11 motors would fail."""
     node = first_odrive(odrive)
-    lost = losing(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
+    lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
     if losses < 3:
         odrive.until(DriveTarget.POLL, Phase.READY)
         assert node.endpoints[201] == b"\1"
     else:
-        assert "enable_watchdog reads 0 after writing, expected 1" in first_in(
+        assert "enable_watchdog reads 0 after writing, expected 1" in error_of_first_drive(
             odrive, Phase.FAULT, DriveTarget.POLL, 200
         )
     assert len(lost) == losses
@@ -119,7 +119,7 @@ def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, loss
 def test_an_odrive_that_takes_no_orders_is_a_fault(odrive: Bench) -> None:
     odrive.until(DriveTarget.POLL, Phase.READY)
     first_odrive(odrive)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]
-    assert "after 5 enable commands" in first_in(odrive, Phase.FAULT, DriveTarget.ENABLE, 600)
+    assert "after 5 enable commands" in error_of_first_drive(odrive, Phase.FAULT, DriveTarget.ENABLE, 600)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_an_odrive_that_takes_no_orders_is_a_fault(odrive: Bench) -> None:
 def test_an_odrive_says_what_disarmed_it(odrive: Bench, bit: int, words: str) -> None:
     odrive.until(DriveTarget.ENABLE, Phase.ENABLED)
     first_odrive(odrive).disarm(1 << bit)
-    assert words in first_in(odrive, Phase.FAULT, DriveTarget.ENABLE, 60)
+    assert words in error_of_first_drive(odrive, Phase.FAULT, DriveTarget.ENABLE, 60)
 
 
 def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> None:
@@ -142,7 +142,7 @@ def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(odrive: Bench, t
     """A calibration started over USB makes torque without a command, and reports no error."""
     odrive.until(target, Phase.ENABLED if target == DriveTarget.ENABLE else Phase.READY)
     first_odrive(odrive).state = 3
-    assert "in axis state 3" in first_in(odrive, Phase.FAULT, target, 60).replace("went to", "in")
+    assert "in axis state 3" in error_of_first_drive(odrive, Phase.FAULT, target, 60).replace("went to", "in")
     odrive.tick(target)
     assert first_odrive(odrive).state == 1
 
@@ -190,18 +190,21 @@ def test_a_cia402_drive_says_what_its_fault_is(cia402: Bench, code: int, words: 
     cia402.until(DriveTarget.ENABLE, Phase.ENABLED)
     first_cia402(cia402).trip(code)
     cia402.incoming += first_cia402(cia402).wake(cia402.rig.world.t_ns)  # type: ignore[arg-type]
-    assert words in first_in(cia402, Phase.FAULT, DriveTarget.ENABLE, 10)
+    assert words in error_of_first_drive(cia402, Phase.FAULT, DriveTarget.ENABLE, 10)
 
 
 def test_another_rated_torque_is_refused(cia402: Bench) -> None:
     first_cia402(cia402).objects[0x6076, 0] = 300
-    assert first_in(cia402, Phase.FAULT, DriveTarget.POLL, 100) == "object 0x6076:0 reads 0x12c, expected 0x190"
+    assert (
+        error_of_first_drive(cia402, Phase.FAULT, DriveTarget.POLL, 100)
+        == "object 0x6076:0 reads 0x12c, expected 0x190"
+    )
 
 
 def test_a_drive_that_restarts_in_motion_is_a_fault(cia402: Bench) -> None:
     cia402.until(DriveTarget.ENABLE, Phase.ENABLED)
     cia402.tick(DriveTarget.ENABLE, extra=[Frame(0x000, bytes((0x81, 0x10)))])
-    assert first_in(cia402, Phase.FAULT, DriveTarget.ENABLE, 30) == "restarted"
+    assert error_of_first_drive(cia402, Phase.FAULT, DriveTarget.ENABLE, 30) == "restarted"
     assert cia402.rig.world.plant.motors["index_motor"].servo.torque == 0.0
 
 

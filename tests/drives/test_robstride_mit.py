@@ -14,7 +14,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.robstride.mit import READ_FAULTS, RobstrideMitDrive
 from handctl.errors import ConfigError
-from tests.drives.protocol_bench import Bench, described, hand_file, servo_torques
+from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, servo_torques
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
 STEP_N_M = 11.0 / 4095
@@ -35,7 +35,7 @@ def first(bench: Bench) -> RobstrideMitNode:
 
 
 def drive_of(**options: object) -> RobstrideMitDrive:
-    drive = make_drive(described("robstride_mit", 5, 0.8, {"motor_type": "rs05", **options}), 0)
+    drive = make_drive(motor_on_bench("robstride_mit", 5, 0.8, {"motor_type": "rs05", **options}), 0)
     assert isinstance(drive, RobstrideMitDrive)
     return drive
 

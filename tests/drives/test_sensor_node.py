@@ -49,7 +49,7 @@ def node() -> SensorNode:
     return SensorNode.of(Section(), 0, TENDONS, JOINTS)
 
 
-def encoded(first_id: int, prefix: str, counter: int, values: Sequence[float], t_ns: int = 0) -> list[Frame]:
+def encode_frames(first_id: int, prefix: str, counter: int, values: Sequence[float], t_ns: int = 0) -> list[Frame]:
     """Return frames as the DBC file encodes them, each with the length of its channels."""
     frames = []
     for group in range(math.ceil(len(values) / 5)):
@@ -86,7 +86,7 @@ def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
         assert worst < 60, age
 
 
-def heard(node: SensorNode, k: int) -> Wired:
+def node_state(node: SensorNode, k: int) -> Wired:
     """Return the state of the node after the request of tick k."""
     wired = Wired((), node)
     wired.sync(k)
@@ -96,10 +96,10 @@ def heard(node: SensorNode, k: int) -> Wired:
 @given(st.lists(RAW, min_size=1, max_size=CHANNELS), st.lists(RAW, max_size=CHANNELS), st.integers(0, 2**40))
 def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int], k: int) -> None:
     node = SensorNode.of(Section(tendons=TENDONS[: len(tensions)], joints=JOINTS[: len(joints)]), 0, TENDONS, JOINTS)
-    wired, sync = heard(node, k), node.sync(k)
+    wired, sync = node_state(node, k), node.sync(k)
     assert DBC.decode_message(sync.can_id, sync.data) == {"counter": sync.data[0]}
     nibble = sync.data[0] % 16
-    frames = encoded(0x1A0, "tension", nibble, tensions) + encoded(0x1B0, "joint", nibble, joints)
+    frames = encode_frames(0x1A0, "tension", nibble, tensions) + encode_frames(0x1B0, "joint", nibble, joints)
     wired.receive(frames)
     told: dict[str, Any] = {}
     for frame in frames:
@@ -115,16 +115,16 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     sync = node.sync(tick_of(node, 7))
     assert sync == Frame(0x080, sync.data)
     assert sync.data[0] & 0xF == 7
-    wired = heard(node, tick_of(node, 7)).receive([Frame(0x1A0, bytes.fromhex("070600f1ff"))])
+    wired = node_state(node, tick_of(node, 7)).receive([Frame(0x1A0, bytes.fromhex("070600f1ff"))])
     assert wired.tensions == {0: 0.0, 1: 10.0, 2: 249.9375}
-    wired = heard(node, tick_of(node, 7)).receive([Frame(0x1B0, bytes.fromhex("0780"))])
+    wired = node_state(node, tick_of(node, 7)).receive([Frame(0x1B0, bytes.fromhex("0780"))])
     assert wired.joints == {4: 0.0}
 
 
 @given(st.integers(0, 255), st.integers(0, 15))
 def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
     node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
-    wired = heard(node, k).receive(encoded(0x1A0, "tension", counter, [100] * CHANNELS))
+    wired = node_state(node, k).receive(encode_frames(0x1A0, "tension", counter, [100] * CHANNELS))
     fresh = counter == node.sync(k).data[0] % 16
     assert len(wired.tensions) == (CHANNELS if fresh else 0)
     assert wired.number("stale") == (0 if fresh else 3)
@@ -134,9 +134,9 @@ def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
 @pytest.mark.parametrize(("base", "prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
 def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(node: SensorNode, base: int, prefix: str) -> None:
     """The frame was delayed and overtaken, or another node sends it again."""
-    (fresh, *_), (stale, *_) = (encoded(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2))
+    (fresh, *_), (stale, *_) = (encode_frames(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2))
     for frames, told in (([stale], 1), ([stale, fresh], 1), ([fresh, stale], 2), ([fresh, stale, stale], 2)):
-        wired = heard(node, tick_of(node, 3)).receive(frames)
+        wired = node_state(node, tick_of(node, 3)).receive(frames)
         assert (wired.number("stale_now"), wired.number("stale")) == (told, frames.count(stale))
         assert len(wired.tensions or wired.joints) == (5 if fresh in frames else 0)
     wired.sync(tick_of(node, 4))
@@ -144,16 +144,16 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(node: SensorNo
 
 
 def test_a_stale_frame_changes_no_value(node: SensorNode) -> None:
-    wired = heard(node, tick_of(node, 3)).receive(encoded(0x1A0, "tension", 3, [160] * CHANNELS, t_ns=5))
-    wired.receive(encoded(0x1A0, "tension", 4, [200] * CHANNELS, t_ns=6))
+    wired = node_state(node, tick_of(node, 3)).receive(encode_frames(0x1A0, "tension", 3, [160] * CHANNELS, t_ns=5))
+    wired.receive(encode_frames(0x1A0, "tension", 4, [200] * CHANNELS, t_ns=6))
     assert set(wired.tensions.values()) == {4.0}
     assert set(wired.view("group_ns")[:3].tolist()) == {5}
     assert wired.view("group_frames")[:3].tolist() == [1, 1, 1]
 
 
 def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None:
-    wired = heard(node, tick_of(node, 1))
-    first, second, _ = encoded(0x1A0, "tension", 1, range(CHANNELS))
+    wired = node_state(node, tick_of(node, 1))
+    first, second, _ = encode_frames(0x1A0, "tension", 1, range(CHANNELS))
     assert list(wired.receive([second]).tensions) == [5, 6, 7, 8, 9]
     wired.begin()
     assert wired.tensions == {}
@@ -162,11 +162,11 @@ def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None
 
 def test_times_are_in_the_order_of_the_hand() -> None:
     node = SensorNode.of(Section(tendons=("t2", "t0", "t1", "t5", "t4", "t3")), 0, TENDONS[:7], JOINTS)
-    wired = heard(node, tick_of(node, 0))
+    wired = node_state(node, tick_of(node, 0))
     groups = [node.group_of_tendon(i) for i in range(7)]
     assert groups == [0, 0, 0, 1, 0, 0, -1]
     assert wired.view("group_ns").tolist() == [-1] * 5
-    first, second = encoded(0x1A0, "tension", 0, [0] * 6)
+    first, second = encode_frames(0x1A0, "tension", 0, [0] * 6)
     wired.receive([first._replace(t_ns=10), second._replace(t_ns=20)])
     assert [int(wired.view("group_ns")[group]) for group in groups[:6]] == [10, 10, 10, 20, 10, 10]
 
@@ -177,7 +177,7 @@ def test_a_hand_without_load_cells_has_no_reading() -> None:
     assert node.tension_frames == 0
 
 
-def unheard(wired: Wired) -> bytes:
+def without_unknown_counters(wired: Wired) -> bytes:
     """Return the block without the counters of unknown frames."""
     block = wired.block.copy()
     for name in ("strange", "misread_now"):
@@ -193,11 +193,11 @@ def unheard(wired: Wired) -> bytes:
 )
 def test_any_frame_may_come(can_id: int, mark: int, data: bytes, bus: int) -> None:
     node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
-    wired = heard(node, 5)
-    before, here = unheard(wired), bus == 0 and can_id in node.node_ids
+    wired = node_state(node, 5)
+    before, here = without_unknown_counters(wired), bus == 0 and can_id in node.node_ids
     wired.receive([Frame(can_id | mark, data, bus=bus)])
     if mark or not here:
-        assert unheard(wired) == before
+        assert without_unknown_counters(wired) == before
     assert len(wired.foreign) == (bus == 0 and not mark and can_id in node.host_ids)
     assert wired.number("strange") == (not wired.foreign and not (here and mark in (0, ERROR)))
     fits = here and mark == 0 and len(data) == node.lengths[node.ids.index(can_id)]
@@ -206,13 +206,13 @@ def test_any_frame_may_come(can_id: int, mark: int, data: bytes, bus: int) -> No
 
 @pytest.mark.parametrize("size", [0, 1, 7, 9, 64])
 def test_a_frame_of_a_wrong_length_is_counted_and_not_read(node: SensorNode, size: int) -> None:
-    wired = heard(node, 0).receive([Frame(0x1A0, bytes(size))])
+    wired = node_state(node, 0).receive([Frame(0x1A0, bytes(size))])
     assert wired.misread
     assert wired.tensions == {}
 
 
 def test_the_exchange_is_what_the_frames_take(node: SensorNode) -> None:
-    frames = encoded(0x1A0, "tension", 0, [0] * CHANNELS) + encoded(0x1B0, "joint", 0, [0] * CHANNELS)
+    frames = encode_frames(0x1A0, "tension", 0, [0] * CHANNELS) + encode_frames(0x1B0, "joint", 0, [0] * CHANNELS)
     assert [size for size, _ in node.exchange] == [1, *(len(frame.data) for frame in frames)]
     assert sum(rate for _, rate in node.exchange) == 1 + 3 + 3 / 4
 
@@ -230,7 +230,7 @@ def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
         Frame(0x1A0, pack(3, [tension_code(force) for force in forces])),
         Frame(0x1B0, pack(3, [joint_code(angle) for angle in angles])),
     ]
-    wired = heard(node, tick_of(node, 3)).receive(frames)
+    wired = node_state(node, tick_of(node, 3)).receive(frames)
     assert list(wired.tensions.values()) == pytest.approx(forces, abs=0.0625 / 2)
     assert list(wired.joints.values()) == pytest.approx(angles, abs=math.pi / 4096)
 
@@ -239,7 +239,7 @@ def test_a_group_knows_how_often_it_came(node: SensorNode) -> None:
     wired = Wired((), node)
     for k in (5, 6):
         sync = wired.sync(tick_of(node, k))
-        wired.receive(encoded(0x1A0, "tension", k & 0xF, [1.0] * CHANNELS, t_ns=k))
+        wired.receive(encode_frames(0x1A0, "tension", k & 0xF, [1.0] * CHANNELS, t_ns=k))
     assert wired.number("sync_asked") == 6
     assert wired.number("syncs") == 2
     assert wired.view("group_frames").tolist() == [2, 2, 2, 0, 0, 0]
@@ -251,18 +251,18 @@ def test_a_group_knows_how_often_it_came(node: SensorNode) -> None:
 
 
 def test_stale_and_unreadable_values_are_counted_separately(node: SensorNode) -> None:
-    wired = heard(node, tick_of(node, 1)).receive([Frame(0x1A0, bytes(3))])
-    (good, *_) = encoded(0x1A0, "tension", 2, [1.0] * CHANNELS)
+    wired = node_state(node, tick_of(node, 1)).receive([Frame(0x1A0, bytes(3))])
+    (good, *_) = encode_frames(0x1A0, "tension", 2, [1.0] * CHANNELS)
     wired.receive([good])
     assert (wired.misread, wired.number("stale")) == (True, 1)
-    (fresh, *_) = encoded(0x1A0, "tension", 1, [1.0] * CHANNELS)
+    (fresh, *_) = encode_frames(0x1A0, "tension", 1, [1.0] * CHANNELS)
     wired.receive([fresh])
     assert (wired.misread, wired.number("stale")) == (True, 1), "neither is forgotten with the next good frame"
 
 
 def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
     low, top = TENSION_ZERO_N, TENSION_MAX_N
-    wired = heard(node, 0)
+    wired = node_state(node, 0)
     assert not wired.observe().view("saturated").any()
     for i, cell in {0: low, 1: low + 0.1, 3: top - 0.1, 4: top, 7: math.nan}.items():
         wired.view("cell")[i], wired.view("cell_fresh")[i] = cell, 1
@@ -288,9 +288,9 @@ def test_each_joint_frame_has_its_joints_and_the_time_when_it_came_last(node: Se
     wired = Wired((), node)
     counter = wired.sync(1).data[0] & 0xF
     assert [node.group_of_joint(j) for j in range(CHANNELS)] == [3] * 5 + [4] * 5 + [5]
-    first, second, _ = encoded(0x1B0, "joint", counter, range(CHANNELS), t_ns=30)
+    first, second, _ = encode_frames(0x1B0, "joint", counter, range(CHANNELS), t_ns=30)
     assert wired.receive([second._replace(t_ns=20)]).view("group_ns")[3:].tolist() == [-1, 20, -1]
-    wired.receive(encoded(0x1A0, "tension", counter, range(CHANNELS), t_ns=40))
+    wired.receive(encode_frames(0x1A0, "tension", counter, range(CHANNELS), t_ns=40))
     assert wired.view("group_ns")[3:].tolist() == [-1, 20, -1], "load cells are no joints"
     assert wired.receive([first]).view("group_ns")[3:].tolist() == [30, 20, -1]
 

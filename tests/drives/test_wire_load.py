@@ -16,12 +16,12 @@ TICKS = 400
 PERIOD_NS = 4_000_000
 
 
-def planned_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
+def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
     """Return the planned time of a tick on each bus, with the frames that a timer sends."""
     return [load.at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))]
 
 
-def busy_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
+def measured_tick_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
     """Return the mean measured time of an enabled hand's tick on each bus."""
     bench = Bench(path, wire, period_ns)
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
@@ -40,9 +40,9 @@ def busy_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[
 @pytest.mark.parametrize("protocol", ["cia402", "mit", "odrive"])
 def test_the_wire_is_as_full_as_the_plan_says(protocol: str, tmp_path: Path) -> None:
     path = hand_file(tmp_path, [protocol])
-    planned = planned_s(path)
-    assert busy_s(path, []) == pytest.approx(planned, rel=0.02)
-    assert 0.8 * planned[0] < busy_s(path, ["stuffing=actual"])[0] < planned[0]
+    planned = planned_tick_s(path)
+    assert measured_tick_s(path, []) == pytest.approx(planned, rel=0.02)
+    assert 0.8 * planned[0] < measured_tick_s(path, ["stuffing=actual"])[0] < planned[0]
 
 
 def test_each_of_two_buses_is_as_full_as_planned(tmp_path: Path) -> None:
@@ -53,15 +53,15 @@ def test_each_of_two_buses_is_as_full_as_planned(tmp_path: Path) -> None:
     for i in (0, 1):
         motors[i] += "\noptions = { fd = true }\n"
     path.write_text("[[motor]]".join([head, *motors]))
-    planned = planned_s(path)
+    planned = planned_tick_s(path)
     assert len(planned) == 2
-    assert busy_s(path, []) == pytest.approx(planned, rel=0.02)
+    assert measured_tick_s(path, []) == pytest.approx(planned, rel=0.02)
 
 
 def test_eleven_motors_fit_where_the_plan_says() -> None:
     path = hand_path("jamia11")
-    planned = planned_s(path, 5_000_000)
-    assert busy_s(path, [], 5_000_000) == pytest.approx(planned, rel=0.02)
+    planned = planned_tick_s(path, 5_000_000)
+    assert measured_tick_s(path, [], 5_000_000) == pytest.approx(planned, rel=0.02)
 
 
 def test_a_wire_that_is_asked_for_too_much_is_full_and_answers_come_late(tmp_path: Path) -> None:

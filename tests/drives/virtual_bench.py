@@ -9,7 +9,7 @@ from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
-from tests.drives.protocol_bench import described
+from tests.drives.protocol_bench import motor_on_bench
 
 NODE = 0x21
 OPTIONS = {
@@ -72,5 +72,5 @@ class VirtualBench:
 
 def rig_on(place, protocol, limit, options=None):
     """Return the host of the drive, with a torque limit [N m]."""
-    motor = described(protocol, NODE, limit, OPTIONS[protocol] if options is None else options)
+    motor = motor_on_bench(protocol, NODE, limit, OPTIONS[protocol] if options is None else options)
     return DriveRig(make_drive(motor, 0), place, place)

@@ -124,7 +124,7 @@ def test_the_torque_falls_with_the_speed() -> None:
         assert motor.torque == pytest.approx(expected, abs=0.15)
 
 
-def odrive_on(bench: Bench, *messages: tuple[int, bytes]) -> None:
+def send_to_odrive(bench: Bench, *messages: tuple[int, bytes]) -> None:
     """Send messages to ODrive 3 on a bench."""
     for command, data in messages:
         bench.receive(Frame(3 << 5 | command, data))
@@ -138,13 +138,15 @@ IDLE = (0x07, struct.pack("<I", 1))
 @pytest.mark.parametrize("inertia", [2e-5, 1e-4, 1e-2])
 def test_the_velocity_limit_of_an_odrive_acts_in_torque_control(inertia: float) -> None:
     bench = Bench([drive_spec("odrive", 3, inertia=inertia)])
-    odrive_on(bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 0.05)))
+    send_to_odrive(
+        bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 0.05))
+    )
     bench.advance(10_000 * MS)
     assert 1.5 * math.tau < bench.motors[0].omega <= 2.0 * math.tau
-    odrive_on(bench, (0x0F, struct.pack("<ff", 1.0, 20.0)), (0x0E, struct.pack("<f", 0.05)))
+    send_to_odrive(bench, (0x0F, struct.pack("<ff", 1.0, 20.0)), (0x0E, struct.pack("<f", 0.05)))
     bench.advance(bench.t_ns + 5_000 * MS)
     assert bench.motors[0].omega <= 1.0 * math.tau, "above its limit it brakes"
-    odrive_on(bench, IDLE)
+    send_to_odrive(bench, IDLE)
     bench.motors[0].omega = 100.0
     bench.advance(bench.t_ns + 50 * MS)
     assert bench.motors[0].omega > 80.0, "an idle motor coasts"
@@ -152,7 +154,7 @@ def test_the_velocity_limit_of_an_odrive_acts_in_torque_control(inertia: float) 
 
 def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
     bench = Bench([drive_spec("odrive", 3)])
-    odrive_on(bench, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0C, struct.pack("<fhh", 20.0, 0, 0)))
+    send_to_odrive(bench, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0C, struct.pack("<fhh", 20.0, 0, 0)))
     fastest = 0.0
     for _ in range(100):
         bench.advance(bench.t_ns + 50 * MS)
@@ -162,8 +164,8 @@ def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
 
 def test_a_trajectory_of_an_odrive_has_a_velocity_limit_of_its_own() -> None:
     bench = Bench([drive_spec("odrive", 3)])
-    odrive_on(bench, (0x0B, struct.pack("<II", 3, 5)), (0x11, struct.pack("<f", 1.0)), CLOSED_LOOP)
-    odrive_on(bench, (0x0C, struct.pack("<fhh", 10.0, 0, 0)))
+    send_to_odrive(bench, (0x0B, struct.pack("<II", 3, 5)), (0x11, struct.pack("<f", 1.0)), CLOSED_LOOP)
+    send_to_odrive(bench, (0x0C, struct.pack("<fhh", 10.0, 0, 0)))
     fastest = 0.0
     for _ in range(300):
         bench.advance(bench.t_ns + 50 * MS)
@@ -174,7 +176,9 @@ def test_a_trajectory_of_an_odrive_has_a_velocity_limit_of_its_own() -> None:
 
 def test_the_current_limit_of_an_odrive_acts() -> None:
     bench = Bench([drive_spec("odrive", 3, inertia=1.0)])
-    odrive_on(bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 50.0, 4.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 1.0)))
+    send_to_odrive(
+        bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 50.0, 4.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 1.0))
+    )
     bench.advance(10 * MS)
     assert bench.motors[0].torque == pytest.approx(4.0 * odrive_bench.TORQUE_CONSTANT, rel=0.01)
 
@@ -195,9 +199,9 @@ def position_of(bench: Bench) -> float:
 @pytest.mark.parametrize("firmware", ["0.6", "0.5"])
 def test_an_odrive_obeys_set_absolute_position(firmware: str) -> None:
     bench = Bench([drive_spec("odrive", 3, firmware=firmware)])
-    odrive_on(bench, (0x19, struct.pack("<f", 7.25) if firmware == "0.6" else struct.pack("<i", 7 * 8192 + 2048)))
+    send_to_odrive(bench, (0x19, struct.pack("<f", 7.25) if firmware == "0.6" else struct.pack("<i", 7 * 8192 + 2048)))
     assert position_of(bench) == pytest.approx(7.25)
-    odrive_on(bench, CLOSED_LOOP, (0x0C, struct.pack("<fhh", 7.5, 0, 0)))
+    send_to_odrive(bench, CLOSED_LOOP, (0x0C, struct.pack("<fhh", 7.5, 0, 0)))
     bench.advance(2000 * MS)
     assert position_of(bench) == pytest.approx(7.5, abs=0.02)
 
@@ -211,16 +215,16 @@ def test_an_odrive_calibrates() -> None:
         beats = [frame for frame in bench.take_unsolicited() if frame.can_id == 3 << 5 | 0x01]
         return beats[-1].data[4], beats[-1].data[5]
 
-    odrive_on(bench, CLOSED_LOOP)
+    send_to_odrive(bench, CLOSED_LOOP)
     assert beat() == (1, 14), "not calibrated"
-    odrive_on(bench, (0x07, struct.pack("<I", 3)))
+    send_to_odrive(bench, (0x07, struct.pack("<I", 3)))
     assert beat() == (3, 1), "busy"
-    odrive_on(bench, IDLE)
+    send_to_odrive(bench, IDLE)
     assert beat() == (1, 2), "cancelled"
-    odrive_on(bench, (0x07, struct.pack("<I", 3)))
+    send_to_odrive(bench, (0x07, struct.pack("<I", 3)))
     bench.advance(bench.t_ns + 4_000 * MS)
     assert beat() == (1, 0)
-    odrive_on(bench, CLOSED_LOOP)
+    send_to_odrive(bench, CLOSED_LOOP)
     assert beat() == (8, 0)
 
 
@@ -231,11 +235,11 @@ def test_an_odrive_keeps_what_reboot_saves() -> None:
         (reply,) = bench.receive(Frame(3 << 5 | 0x04, struct.pack("<BHB", 0, number, 0)))
         return reply.data[4:]
 
-    odrive_on(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\0"))
+    send_to_odrive(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\0"))
     assert endpoint(202) == struct.pack("<f", 0.0), "a reboot alone saves nothing"
-    odrive_on(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\1"), (0x16, b"\0"))
+    send_to_odrive(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\1"), (0x16, b"\0"))
     assert endpoint(202) == struct.pack("<f", 0.25)
-    odrive_on(bench, (0x16, b"\2"))
+    send_to_odrive(bench, (0x16, b"\2"))
     assert endpoint(202) == struct.pack("<f", 0.0), "erased"
 
 

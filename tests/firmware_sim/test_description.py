@@ -17,7 +17,7 @@ from firmware_sim.rig import Rig
 from handctl.hand.load import load_hand as described
 
 
-def edited(tmp_path: Path, old: str, new: str) -> str:
+def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:
     """Write a copy of jamia with the first occurrence of a text replaced."""
     text = described("jamia").to_toml()
     assert old in text
@@ -57,13 +57,13 @@ def test_every_number_comes_from_the_file(name: str) -> None:
 )
 def test_incomplete_hands_are_refused_in_one_line(old: str, new: str, expected: str, tmp_path: Path) -> None:
     with pytest.raises(SimulatorError, match=expected) as caught:
-        Rig(edited(tmp_path, old, new))
+        Rig(write_edited_jamia(tmp_path, old, new))
     assert "\n" not in str(caught.value)
 
 
 def test_motors_on_two_buses(tmp_path: Path) -> None:
     """Move the first motor to a second bus: it answers there and ignores the first bus."""
-    first = edited(tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]')
+    first = write_edited_jamia(tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]')
     text = Path(first).read_text()
     head, _, tail = text.partition('name = "index_motor"')
     Path(first).write_text(head + 'name = "index_motor"' + tail.replace('bus = "main"', 'bus = "side"', 1))
@@ -73,7 +73,7 @@ def test_motors_on_two_buses(tmp_path: Path) -> None:
     assert [(answer.can_id, answer.bus) for answer in answers] == [(0x11, 1), (0x12, 0)]
 
 
-def changed(before: Any, after: Any) -> set[str]:
+def changed_fields(before: Any, after: Any) -> set[str]:
     """Return the names of the fields that differ."""
     return {field.name for field in fields(before) if getattr(before, field.name) != getattr(after, field.name)}
 
@@ -98,10 +98,10 @@ def test_each_factor_changes_only_its_parameters(
 ) -> None:
     hand = load_hand("jamia11")
     other = perturbed(hand, {key: 1.2})
-    assert changed(hand.digits[0], other.digits[0]) == digit
-    assert changed(hand.tendons[0], other.tendons[0]) == tendon
-    assert changed(hand.motors[0], other.motors[0]) == motor
-    assert changed(hand.sensors, other.sensors) == sensors
+    assert changed_fields(hand.digits[0], other.digits[0]) == digit
+    assert changed_fields(hand.tendons[0], other.tendons[0]) == tendon
+    assert changed_fields(hand.motors[0], other.motors[0]) == motor
+    assert changed_fields(hand.sensors, other.sensors) == sensors
 
 
 def test_the_table_above_has_every_key() -> None:

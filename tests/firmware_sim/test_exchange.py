@@ -61,7 +61,7 @@ def start(protocol: str, node: int) -> list[tuple[int, bytes]]:
     return [*sdo, (0x000, bytes((1, node))), *[(0x200 + node, struct.pack("<Hh", word, 0)) for word in (6, 7, 15)]]
 
 
-def cycle(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
+def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
     """Return the frames of a tick for a drive."""
     fraction = 0.2 + 0.1 * ((k // 20) % 3)
     if protocol == "mit":
@@ -72,7 +72,7 @@ def cycle(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
     return [(0x200 + node, struct.pack("<Hh", 0x0F, round(1000 * fraction))), *([(0x77F, b"\5")] if k % 5 == 0 else [])]
 
 
-def disturbed(frame: Frame, rng: random.Random) -> list[Frame]:
+def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
     """Return the frames that arrive in place of one frame."""
     can_id, data, flags, bus, t_ns = frame
     other = [
@@ -97,9 +97,9 @@ def stream(protocols: tuple[str, ...], ticks: int, seed: int, buses: int = 1) ->
     for k in range(ticks):
         frames = [Frame(0x080, bytes((k & 0xFF,)))]
         for protocol, node, bus in drives:
-            sent = start(protocol, node) if k == 2 else cycle(protocol, node, k) if k > 2 else []
+            sent = start(protocol, node) if k == 2 else frames_of_tick(protocol, node, k) if k > 2 else []
             frames += [Frame(can_id, data, 0, bus, k) for can_id, data in sent]
-        yield [other for frame in frames for other in disturbed(frame, rng)] if seed else frames
+        yield [other for frame in frames for other in disturb_frame(frame, rng)] if seed else frames
 
 
 CASES = [

@@ -18,7 +18,7 @@ MS = 1_000_000
 TURN = math.tau
 
 
-def sampled(bench: Bench, for_s: float, value: Callable[[], float]) -> list[float]:
+def sample_each_ms(bench: Bench, for_s: float, value: Callable[[], float]) -> list[float]:
     """Advance a bench and return a value in each millisecond."""
     values = []
     for _ in range(round(for_s * 1000)):
@@ -27,7 +27,7 @@ def sampled(bench: Bench, for_s: float, value: Callable[[], float]) -> list[floa
     return values
 
 
-def steepest(velocities: list[float], over_ms: int = 20) -> float:
+def largest_acceleration(velocities: list[float], over_ms: int = 20) -> float:
     """Return the largest acceleration [unit/s2] over some milliseconds."""
     pairs = zip(velocities, velocities[over_ms:], strict=False)
     return max(abs(after - before) for before, after in pairs) * 1000 / over_ms
@@ -93,12 +93,12 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(sign: int) ->
     write_register(bench, 5, struct.pack("<f", -2.0))
     bench.receive(Frame(0x102, struct.pack("<ff", sign * 6.0, 3.0)))
     motor = bench.motors[0]
-    speeds = sampled(bench, 5.0, lambda: sign * motor.omega)
+    speeds = sample_each_ms(bench, 5.0, lambda: sign * motor.omega)
     assert speeds[500] == pytest.approx(4.0 * 0.5, rel=0.1)
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
     # 3 rad/s: 0.75 s and 1.125 m to speed, 1.5 s and 2.25 m from it.
-    assert sampled(bench, 1.0, lambda: sign * motor.theta)[-1] == pytest.approx(6.0, abs=0.01)
+    assert sample_each_ms(bench, 1.0, lambda: sign * motor.theta)[-1] == pytest.approx(6.0, abs=0.01)
 
 
 def test_the_ramp_of_a_damiao_motor_acts_in_velocity_mode() -> None:
@@ -107,10 +107,10 @@ def test_the_ramp_of_a_damiao_motor_acts_in_velocity_mode() -> None:
     write_register(bench, 5, struct.pack("<f", -10.0))
     motor = bench.motors[0]
     bench.receive(Frame(0x202, struct.pack("<f", 6.0)))
-    assert steepest(sampled(bench, 2.0, lambda: motor.omega), 100) == pytest.approx(5.0, rel=0.15)
+    assert largest_acceleration(sample_each_ms(bench, 2.0, lambda: motor.omega), 100) == pytest.approx(5.0, rel=0.15)
     assert motor.omega == pytest.approx(6.0, rel=0.01)
     bench.receive(Frame(0x202, struct.pack("<f", 0.0)))
-    speeds = sampled(bench, 2.0, lambda: motor.omega)
+    speeds = sample_each_ms(bench, 2.0, lambda: motor.omega)
     assert speeds[300] == pytest.approx(3.0, abs=0.4)
     assert speeds[-1] == pytest.approx(0.0, abs=0.02)
 
@@ -203,7 +203,7 @@ def write_endpoint(bench: Bench, endpoint: int, value: float) -> None:
     send(bench, (0x04, struct.pack("<BHBf", 1, endpoint, 0, value)))
 
 
-def beat(bench: Bench) -> tuple[int, int, int]:
+def next_heartbeat(bench: Bench) -> tuple[int, int, int]:
     """Return errors, axis state and the trajectory flag of the next heartbeat."""
     bench.take_unsolicited()
     bench.advance(bench.t_ns + 200 * MS)
@@ -223,17 +223,17 @@ def test_the_velocity_ramp_of_an_odrive_acts() -> None:
     write_endpoint(bench, 205, 3.0)
     motor = bench.motors[0]
     send(bench, (0x0D, struct.pack("<ff", 3.0, 0.0)))
-    speeds = sampled(bench, 2.0, lambda: motor.omega / TURN)
+    speeds = sample_each_ms(bench, 2.0, lambda: motor.omega / TURN)
     assert speeds[499] == pytest.approx(1.5, rel=0.05)
     assert speeds[-1] == pytest.approx(3.0, rel=0.02)
-    assert steepest(speeds, 100) <= 3.3
+    assert largest_acceleration(speeds, 100) <= 3.3
 
 
 def test_the_torque_ramp_of_an_odrive_acts() -> None:
     bench = odrive(1, 6, inertia=1.0)
     write_endpoint(bench, 206, 0.2)
     send(bench, (0x0E, struct.pack("<f", 0.1)))
-    torques = sampled(bench, 0.8, lambda: bench.motors[0].torque)
+    torques = sample_each_ms(bench, 0.8, lambda: bench.motors[0].torque)
     assert torques[249] == pytest.approx(0.05, rel=0.1)
     assert torques[-1] == pytest.approx(0.1, rel=0.01)
 
@@ -242,7 +242,7 @@ def test_the_position_filter_of_an_odrive_does_not_overshoot() -> None:
     bench = odrive(3, 3)
     write_endpoint(bench, 207, 4.0)
     send(bench, (0x0C, struct.pack("<fhh", 1.0, 0, 0)))
-    angles = sampled(bench, 4.0, lambda: bench.motors[0].theta / TURN)
+    angles = sample_each_ms(bench, 4.0, lambda: bench.motors[0].theta / TURN)
     # Critically damped with time constant 1 / bandwidth: 1 - (1 + 4 t) exp(-4 t).
     assert angles[499] == pytest.approx(1.0 - 3.0 * math.exp(-2.0), abs=0.03)
     assert max(angles) < 1.02
@@ -255,17 +255,17 @@ def test_a_trajectory_of_an_odrive_has_ramps_and_says_when_it_is_done() -> None:
     motor = bench.motors[0]
     send(bench, (0x0C, struct.pack("<fhh", 3.0, 0, 0)))
     # To speed in 1 s over 0.5 turns, 1.5 turns at speed, from speed in 2 s over 1 turn: 4.5 s.
-    speeds = sampled(bench, 1.0, lambda: motor.omega / TURN)
+    speeds = sample_each_ms(bench, 1.0, lambda: motor.omega / TURN)
     assert speeds[499] == pytest.approx(0.5, rel=0.05)
-    assert beat(bench)[2] == 0
-    sampled(bench, 2.1, lambda: 0.0)
+    assert next_heartbeat(bench)[2] == 0
+    sample_each_ms(bench, 2.1, lambda: 0.0)
     assert motor.omega / TURN == pytest.approx(0.6, abs=0.05)
-    assert beat(bench)[2] == 0
-    sampled(bench, 1.5, lambda: 0.0)
-    assert beat(bench) == (0, 8, 1)
+    assert next_heartbeat(bench)[2] == 0
+    sample_each_ms(bench, 1.5, lambda: 0.0)
+    assert next_heartbeat(bench) == (0, 8, 1)
     assert motor.theta / TURN == pytest.approx(3.0, abs=0.005)
     send(bench, (0x0C, struct.pack("<fhh", 2.0, 0, 0)))
-    assert beat(bench)[2] == 0
+    assert next_heartbeat(bench)[2] == 0
 
 
 def test_the_torque_limits_of_an_odrive_act_in_position_control() -> None:
@@ -294,7 +294,7 @@ def test_an_odrive_ignores_a_change_of_the_mode_in_closed_loop() -> None:
 def test_a_setpoint_that_is_not_finite_disarms(control: int, message: tuple[int, bytes]) -> None:
     bench = odrive(control, 1)
     send(bench, message)
-    assert beat(bench)[:2] == (1 << 6, 1)
+    assert next_heartbeat(bench)[:2] == (1 << 6, 1)
     assert bench.motors[0].command == 0.0
 
 
@@ -370,7 +370,7 @@ def test_a_cyclic_position_is_followed_and_interpolated() -> None:
     for _ in range(100):
         target += 200
         write_object(bench, 0x607A, 0, target, 4)
-        angles += sampled(bench, 0.02, lambda: motor.theta)
+        angles += sample_each_ms(bench, 0.02, lambda: motor.theta)
     speeds = [(after - before) * 1000 for before, after in itertools.pairwise(angles)]
     rate = 200 / 0.02 / COUNTS * TURN
     assert max(speeds[1000:]) < 1.1 * rate, "20 ms steps are smoothed"
@@ -425,7 +425,7 @@ def test_a_profile_position_has_ramps_and_says_when_it_is_reached() -> None:
     assert word & (1 << 12 | 1 << 10) == 1 << 12, "acknowledged, not reached"
     assert not control(bench, 0x0F) & 1 << 12
     # 1 turn/s with 1 and 0.5 turn/s2: 1 s up, 1.5 s at speed, 2 s down.
-    speeds = sampled(bench, 4.6, lambda: motor.omega / TURN)
+    speeds = sample_each_ms(bench, 4.6, lambda: motor.omega / TURN)
     assert speeds[480] == pytest.approx(0.5, rel=0.05)
     assert max(speeds) < 1.02
     bench.advance(bench.t_ns + 300 * MS)
@@ -443,7 +443,7 @@ def test_a_second_set_point_waits_unless_it_is_immediate(immediately: bool) -> N
     write_object(bench, 0x607A, 0, 0, 4)
     control(bench, 0x1F | immediately << 5)
     assert bool(control(bench, 0x0F) & 1 << 12) != immediately, "the buffer is full"
-    furthest = max(sampled(bench, 3.0, lambda: motor.theta / TURN))
+    furthest = max(sample_each_ms(bench, 3.0, lambda: motor.theta / TURN))
     assert furthest == pytest.approx(0.0 if immediately else 1.0, abs=0.1)
     assert motor.theta == pytest.approx(0.0, abs=0.02)
 
@@ -506,7 +506,7 @@ def test_homing_finds_the_next_index_pulse(method: int, end: float) -> None:
     write_object(bench, 0x6060, 0, 10, 1)
     write_object(bench, 0x6060, 0, 6, 1)
     control(bench, 0x1F)
-    speeds = sampled(bench, 4.0, lambda: abs(motor.omega))
+    speeds = sample_each_ms(bench, 4.0, lambda: abs(motor.omega))
     assert max(speeds) < 1.15 * 30 / 60 * TURN
     assert motor.theta == pytest.approx(end, abs=0.02)
     assert read_object(bench, 0x6041) & 1 << 12

@@ -23,7 +23,7 @@ def free(factors: dict[str, float] | None = None, hand: Hand = JAMIA, homed: boo
     return plant
 
 
-def locked() -> Hand:
+def lock_joints() -> Hand:
     """Return the hand with all joints between two stops a hundredth of a degree apart."""
     digits = [replace(digit, joint_max_deg=(0.01,) * len(digit.length)) for digit in JAMIA.digits]
     return replace(JAMIA, digits=digits)
@@ -90,7 +90,7 @@ def test_a_slack_tendon_makes_no_force() -> None:
 
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
     """Check with locked joints that the tension follows the spool by k r."""
-    plant = free({"friction": 0.0}, locked())
+    plant = free({"friction": 0.0}, lock_joints())
     pull(plant, 0.25, 2.0)
     low, theta_low = plant.tensions()[0], plant.motors["index_motor"].theta
     pull(plant, 0.75, 2.0)
@@ -104,7 +104,7 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
 def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
     """Check sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
-    plant = free({"friction": 0.0, "damping": 0.1}, locked())
+    plant = free({"friction": 0.0, "damping": 0.1}, lock_joints())
     pull(plant, 0.25, 0.6)
     motor = plant.motors["index_motor"]
     motor.omega += 0.5

@@ -10,7 +10,7 @@ from firmware_sim.description import load_hand
 from firmware_sim.plant.drivetrain import _taken_up, step_drivetrain
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import Routing
-from tests.hand.varied import varied
+from tests.hand.varied import with_varying_arms
 
 STEP_S = 0.5e-3
 
@@ -19,7 +19,7 @@ STEP_S = 0.5e-3
 def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) -> None:
     """Without friction and damping: the sum of tension times speed is that of torque times rate."""
     path = tmp_path / "hand.toml"
-    path.write_text(varied(name, 0.3).to_toml())
+    path.write_text(with_varying_arms(name, 0.3).to_toml())
     hand = load_hand(str(path))
     specs = [replace(spec, friction=0.0, damping=0.0) for spec in hand.every_tendon]
     names = [motor.name for motor in hand.motors]

@@ -24,7 +24,7 @@ FRAMES = st.builds(
 )
 
 
-class Party:
+class BusMember:
     """A controller and the frames that its owner has received."""
 
     def __init__(self, wire: Wire, queue: int | None = None) -> None:
@@ -45,8 +45,8 @@ class Party:
         return [frame.can_id & 0x1FF for frame in self.errors]
 
 
-def parties(wire: Wire, count: int) -> list[Party]:
-    return [Party(wire) for _ in range(count)]
+def parties(wire: Wire, count: int) -> list[BusMember]:
+    return [BusMember(wire) for _ in range(count)]
 
 
 @given(FRAMES)
@@ -114,7 +114,7 @@ def test_a_full_queue_refuses_and_reports() -> None:
 
 def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None:
     wire = Wire(WORST)
-    lonely = Party(wire)
+    lonely = BusMember(wire)
     lonely.controller.offer(Frame(1, bytes(8)), 0)
     wire.advance(10**9)
     assert wire.frames == 0
@@ -123,7 +123,7 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     assert lonely.classes == [0x20, 0x24, 0x24], "no acknowledge; with the warning; and with passive"
     assert [frame.data[1] for frame in lonely.errors] == [0, 0x08, 0x20]
     assert wire.load(0, 10**9) > 0.9, "a bus with one node is busy"
-    other = Party(wire)
+    other = BusMember(wire)
     wire.advance(2 * 10**9)
     assert other.ids == [1]
     assert lonely.controller.tx_errors == 127

@@ -17,7 +17,7 @@ OLD = Path(__file__).with_name("jamia_schema_1.toml")
 """The packaged jamia before schema 2, with a comment at every number."""
 
 
-def again(text: str) -> Hand:
+def hand_after_conversion(text: str) -> Hand:
     """Return the hand of a converted text."""
     content = parse_toml(convert_to_schema_2(text, "old"), "new")
     assert content["schema"] == 2
@@ -31,7 +31,7 @@ def test_an_old_file_still_loads() -> None:
 def test_an_old_file_shrinks_and_keeps_its_comments() -> None:
     old = OLD.read_text("utf-8")
     new = convert_to_schema_2(old, "old")
-    assert again(old).identity == IDENTITIES["jamia"]
+    assert hand_after_conversion(old).identity == IDENTITIES["jamia"]
     assert len(new.splitlines()) < 120 < 230 < len(old.splitlines())
     for comment in re.findall(r"# *(.*)", old):
         assert comment.strip() in new, comment
@@ -41,13 +41,16 @@ def test_an_old_file_shrinks_and_keeps_its_comments() -> None:
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_a_packaged_hand_written_out_is_the_same_hand_again(name: str) -> None:
-    assert again(load_hand(name).to_toml()).identity == load_hand(name).identity
+    assert hand_after_conversion(load_hand(name).to_toml()).identity == load_hand(name).identity
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_random_hand_is_the_same_hand(seed: int) -> None:
     hand = random_hand(1 + seed, np.random.default_rng(seed))
-    assert again(hand.to_toml()).identity == hand_from_content(parse_toml(hand.to_toml(), "old"), "old").identity
+    assert (
+        hand_after_conversion(hand.to_toml()).identity
+        == hand_from_content(parse_toml(hand.to_toml(), "old"), "old").identity
+    )
 
 
 def test_differing_comments_of_one_value_are_joined() -> None:

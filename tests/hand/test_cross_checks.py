@@ -25,7 +25,7 @@ def edited(refusal):
     return refuse
 
 
-def put(section, index, **values):
+def set_values(section, index, **values):
     """Return an edit that sets values of one section."""
     return lambda content: (content[section] if index is None else content[section][index]).update(values)
 
@@ -48,13 +48,13 @@ UNITS = [
 
 @pytest.mark.parametrize(("section", "values", "start"), UNITS)
 def test_wrong_units_are_guessed(edited, section, values, start):
-    line = edited(put(section, 0, **values))
+    line = edited(set_values(section, 0, **values))
     assert line.startswith(start)
     assert re.search(r"\(in .*\?\)$", line)
 
 
 def tension(**values):
-    return put("tendon", 0, **values)
+    return set_values("tendon", 0, **values)
 
 
 CASES = {
@@ -83,103 +83,121 @@ CASES = {
         "tendon[index_tendon].tension_floor_N: 120; expected less than tension_max_N = 110 N",
     ),
     "drive torque is not the drive limit": (
-        put("motor", 0, torque_max_N_m=1.0),
+        set_values("motor", 0, torque_max_N_m=1.0),
         "motor[index_motor].torque_max_N_m: 1; expected drive_limit_N x spool_radius_m = 0.8 N m",
     ),
     "drive torque beyond the motor": (
-        put("motor", 0, torque_peak_N_m=0.7),
+        set_values("motor", 0, torque_peak_N_m=0.7),
         "motor[index_motor].torque_max_N_m: 0.8; expected at most torque_peak_N_m = 0.7 N m",
     ),
     "same node id": (
-        put("motor", 1, node_id=1),
+        set_values("motor", 1, node_id=1),
         'motor[middle_motor].node_id: 0x1 on bus "main" is taken; expected another identifier; '
         "motor[index_motor].node_id has it",
     ),
-    "node id is another's reply": (put("motor", 1, node_id=0x11), 'motor[middle_motor].node_id: 0x11 on bus "main"'),
+    "node id is another's reply": (
+        set_values("motor", 1, node_id=0x11),
+        'motor[middle_motor].node_id: 0x11 on bus "main"',
+    ),
     "reply id is another's node id": (
-        put("motor", 3, options={"reply_id": 2}),
+        set_values("motor", 3, options={"reply_id": 2}),
         'motor[thumb_motor].options.reply_id: 0x2 on bus "main" is taken',
     ),
     "reply id is its own node id": (
-        put("motor", 3, options={"reply_id": 4}),
+        set_values("motor", 3, options={"reply_id": 4}),
         "motor[thumb_motor].options.reply_id: 0x4",
     ),
     "reply id is no number": (
-        put("motor", 3, options={"reply_id": "4"}),
+        set_values("motor", 3, options={"reply_id": "4"}),
         "motor[thumb_motor].options.reply_id: 4; expected a whole number from 1 to 2047",
     ),
     "reply id is too small": (
-        put("motor", 3, options={"reply_id": 0}),
+        set_values("motor", 3, options={"reply_id": 0}),
         "motor[thumb_motor].options.reply_id: 0; expected",
     ),
     "reply id is just large enough": (
-        put("motor", 3, options={"reply_id": 1}),
+        set_values("motor", 3, options={"reply_id": 1}),
         'motor[thumb_motor].options.reply_id: 0x1 on bus "main" is taken',
     ),
     "reply id is just small enough": (
-        put("motor", 3, options={"reply_id": 0x7FF}),
+        set_values("motor", 3, options={"reply_id": 0x7FF}),
         'motor[thumb_motor].options.reply_id: 0x7FF on bus "main" is taken',
     ),
     "reply id is too large": (
-        put("motor", 3, options={"reply_id": 0x800}),
+        set_values("motor", 3, options={"reply_id": 0x800}),
         "motor[thumb_motor].options.reply_id: 2048; expected a whole number",
     ),
-    "sensor frames on a drive's reply": (put("sensor_node", None, base_id=0x12), "motor[middle_motor].node_id: 0x12"),
-    "sensor frames on the sync": (put("sensor_node", None, base_id=0x80), "sensor_node.base_id: 0x80"),
-    "sync on the drives' register frames": (put("sensor_node", None, sync_id=0x7FF), "sensor_node.sync_id: 0x7FF"),
+    "sensor frames on a drive's reply": (
+        set_values("sensor_node", None, base_id=0x12),
+        "motor[middle_motor].node_id: 0x12",
+    ),
+    "sensor frames on the sync": (set_values("sensor_node", None, base_id=0x80), "sensor_node.base_id: 0x80"),
+    "sync on the drives' register frames": (
+        set_values("sensor_node", None, sync_id=0x7FF),
+        "sensor_node.sync_id: 0x7FF",
+    ),
     "two nodes of another protocol": (
         lambda c: [c["motor"][i].update(protocol="odrive", node_id=9) for i in (0, 1)],
         'motor[middle_motor].node_id: 0x120 on bus "main" is taken',
     ),
-    "too few values": (put("digit", 0, link_com_m=[0.015, 0.0075]), "digit[index].link_com_m: 2 values; expected 3"),
+    "too few values": (
+        set_values("digit", 0, link_com_m=[0.015, 0.0075]),
+        "digit[index].link_com_m: 2 values; expected 3",
+    ),
     "centre of mass beyond the link": (
-        put("digit", 0, link_com_m=[0.015, 0.0075, 0.02]),
+        set_values("digit", 0, link_com_m=[0.015, 0.0075, 0.02]),
         "digit[index].link_com_m[2]: 0.02",
     ),
     "inertia beyond the link's mass": (
-        put("digit", 0, link_inertia_kg_m2=[5e-4, 7e-8, 2e-8]),
+        set_values("digit", 0, link_inertia_kg_m2=[5e-4, 7e-8, 2e-8]),
         "digit[index].link_inertia_kg_m2[0]: 0.0005",
     ),
     "joint limits the wrong way round": (
-        put("digit", 3, joint_min_deg=[0.0, 100.0]),
+        set_values("digit", 3, joint_min_deg=[0.0, 100.0]),
         "digit[thumb].joint_max_deg[1]: 100; expected more than joint_min_deg[1] = 100",
     ),
     "nine links": (
-        put("digit", 0, link_length_m=[0.01] * 9),
+        set_values("digit", 0, link_length_m=[0.01] * 9),
         "digit[index].link_length_m: [0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01]; expected at most 8 values",
     ),
     "a last link without length": (
-        put("digit", 0, link_length_m=[0.03, 0.015, 0.0], link_com_m=[0.015, 0.0075, 0.0]),
+        set_values("digit", 0, link_length_m=[0.03, 0.015, 0.0], link_com_m=[0.015, 0.0075, 0.0]),
         "digit[index].link_length_m[2]: 0; expected more than 0",
     ),
     "an axis for every joint": (
-        put("digit", 0, joint_axis=[[0.0, 0.0, 1.0]]),
+        set_values("digit", 0, joint_axis=[[0.0, 0.0, 1.0]]),
         "digit[index].joint_axis: 1 values; expected 3, one per link_length_m",
     ),
     "an axis of wrong length": (
-        put("digit", 0, joint_axis=[[0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
+        set_values("digit", 0, joint_axis=[[0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
         "digit[index].joint_axis[1]: a vector of length 1.41; expected a unit vector, of length 1",
     ),
     "an axis of two numbers": (
-        put("digit", 0, joint_axis=[[0.0, 1.0]] * 3),
+        set_values("digit", 0, joint_axis=[[0.0, 1.0]] * 3),
         "digit[index].joint_axis[0][2]: missing; expected a value",
     ),
     "an orientation for every joint": (
-        put("digit", 0, joint_rpy_deg=[[0.0, 0.0, 90.0]] * 2),
+        set_values("digit", 0, joint_rpy_deg=[[0.0, 0.0, 90.0]] * 2),
         "digit[index].joint_rpy_deg: 2 values; expected 3",
     ),
     "centre of mass of two numbers": (
-        put("digit", 0, link_com_m=[[0.015, 0.0], 0.0075, 0.005]),
+        set_values("digit", 0, link_com_m=[[0.015, 0.0], 0.0075, 0.005]),
         "digit[index].link_com_m[0]: [0.015, 0.0]; expected a number, or a list of 3 numbers",
     ),
     "centre of mass far from the link": (
-        put("digit", 0, link_com_m=[0.015, [0.0, 0.02, 0.0], 0.005]),
+        set_values("digit", 0, link_com_m=[0.015, [0.0, 0.02, 0.0], 0.005]),
         "digit[index].link_com_m[1]: 0.02 m; expected at most 0.015 m from the joint",
     ),
-    "mounted on nothing": (put("digit", 1, mount_on="wrist"), 'digit[middle].mount_on: "wrist" is not in this file'),
-    "mounted on itself": (put("digit", 1, mount_on="middle"), "digit[middle].mount_on: middle does not follow middle"),
+    "mounted on nothing": (
+        set_values("digit", 1, mount_on="wrist"),
+        'digit[middle].mount_on: "wrist" is not in this file',
+    ),
+    "mounted on itself": (
+        set_values("digit", 1, mount_on="middle"),
+        "digit[middle].mount_on: middle does not follow middle",
+    ),
     "mounted on a later digit": (
-        put("digit", 0, mount_on="middle"),
+        set_values("digit", 0, mount_on="middle"),
         "digit[index].mount_on: index does not follow middle; expected each digit right after the one that carries it",
     ),
     "mounted on a digit before others": (
@@ -187,45 +205,54 @@ CASES = {
         "digit[thumb].mount_on: thumb does not follow middle",
     ),
     "inertia of two numbers": (
-        put("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7], 7e-8, 2e-8]),
+        set_values("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7], 7e-8, 2e-8]),
         "digit[index].link_inertia_kg_m2[0]: [5e-07, 5e-07]; expected a number, or a list of 3 or 6 numbers",
     ),
     "inertia that is not positive definite": (
-        put("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7, 5e-7, 6e-7, 0.0, 0.0], 7e-8, 2e-8]),
+        set_values("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7, 5e-7, 6e-7, 0.0, 0.0], 7e-8, 2e-8]),
         "digit[index].link_inertia_kg_m2[0]: a principal moment of -1e-07 kg m2; expected a positive definite inertia",
     ),
     "inertia of no real body": (
-        put("digit", 0, link_inertia_kg_m2=[[1e-7, 2e-7, 5e-7], 7e-8, 2e-8]),
+        set_values("digit", 0, link_inertia_kg_m2=[[1e-7, 2e-7, 5e-7], 7e-8, 2e-8]),
         "digit[index].link_inertia_kg_m2[0]: principal moments 1e-07, 2e-07, 5e-07; "
         "expected none larger than the sum of the other two",
     ),
     "coupling of the wrong shape": (
-        put("digit", 0, coupling=[[1.0], [1.0]]),
+        set_values("digit", 0, coupling=[[1.0], [1.0]]),
         "digit[index].coupling: 2 rows; expected 3",
     ),
-    "ragged coupling": (put("digit", 0, coupling=[[1.0], [1.0, 0.0], [1.0]]), "digit[index].coupling: rows of [1, 2]"),
+    "ragged coupling": (
+        set_values("digit", 0, coupling=[[1.0], [1.0, 0.0], [1.0]]),
+        "digit[index].coupling: rows of [1, 2]",
+    ),
     "coupling that the tendon cannot move": (
-        put("digit", 0, coupling=[[1.0], [-1.0], [0.0]]),
+        set_values("digit", 0, coupling=[[1.0], [-1.0], [0.0]]),
         "digit[index].coupling: its tendons (moment_arm_m) can move only 0 of 1 coordinates; "
         "expected a tendon for every coordinate, or a coupling that leaves 1",
     ),
     "more coordinates than tendons": (
-        put("digit", 0, coupling=[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]),
+        set_values("digit", 0, coupling=[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]),
         "digit[index].coupling: its tendons (moment_arm_m) can move only 1 of 2 coordinates",
     ),
     "unknown motor": (tension(motor="index_moter"), 'tendon[index_tendon].motor: "index_moter" is not in this file'),
     "unknown joint": (tension(moment_arm_m={"index_j4": 0.003}), "tendon[index_tendon].moment_arm_m.index_j4: "),
     "unknown bus": (
-        put("motor", 0, bus="can0"),
+        set_values("motor", 0, bus="can0"),
         'motor[index_motor].bus: "can0" is not in this file; expected one of main',
     ),
-    "unknown sensor bus": (put("sensor_node", None, bus="x"), 'sensor_node.bus: "x" is not in this file'),
-    "unknown load cell": (put("sensor_node", None, tendons=["x"]), 'sensor_node.tendons[0]: "x" is not in this file'),
+    "unknown sensor bus": (set_values("sensor_node", None, bus="x"), 'sensor_node.bus: "x" is not in this file'),
+    "unknown load cell": (
+        set_values("sensor_node", None, tendons=["x"]),
+        'sensor_node.tendons[0]: "x" is not in this file',
+    ),
     "unknown joint encoder": (
-        put("sensor_node", None, joints=["index_j1", "x"]),
+        set_values("sensor_node", None, joints=["index_j1", "x"]),
         'sensor_node.joints[1]: "x" is not in this file; expected one of index_j1, index_j2, index_j3, middle_j1, ',
     ),
-    "joint encoder twice": (put("sensor_node", None, joints=["index_j1"] * 2), 'sensor_node.joints: "index_j1" twice'),
+    "joint encoder twice": (
+        set_values("sensor_node", None, joints=["index_j1"] * 2),
+        'sensor_node.joints: "index_j1" twice',
+    ),
     "two CANopen nodes with one number": (
         lambda c: [c["motor"][i].update(protocol="cia402", node_id=9) for i in (0, 1)],
         'motor[middle_motor].node_id: 0x89 on bus "main" is taken; expected another identifier; '
@@ -236,11 +263,11 @@ CASES = {
         'motor[middle_motor].node_id: cubemars node 9 on bus "main" is taken',
     ),
     "load cell twice": (
-        put("sensor_node", None, tendons=["index_tendon"] * 2),
+        set_values("sensor_node", None, tendons=["index_tendon"] * 2),
         'sensor_node.tendons: "index_tendon" twice',
     ),
     "motor shared": (
-        put("tendon", 1, motor="index_motor"),
+        set_values("tendon", 1, motor="index_motor"),
         'tendon[middle_tendon].motor: "index_motor" drives index_tendon already; expected a motor of its own',
     ),
     "motor without tendon": (
@@ -270,17 +297,17 @@ CASES = {
         "tendon[ring_tendon].moment_arm_m: a tendon of ring after one of thumb; "
         "expected tendons digit by digit, in the order of the digits",
     ),
-    "digit twice": (put("digit", 1, name="index"), 'digit[index].name: "index" twice; expected every name once'),
+    "digit twice": (set_values("digit", 1, name="index"), 'digit[index].name: "index" twice; expected every name once'),
     "no digit": (lambda c: c.update(digit=[]), "digit: []; expected at least 1 values"),
-    "a name with a blank": (put("digit", 0, name="index finger"), "digit[index finger].name: "),
-    "direction": (put("motor", 0, direction=0), "motor[index_motor].direction: 0; expected 1 or -1"),
+    "a name with a blank": (set_values("digit", 0, name="index finger"), "digit[index finger].name: "),
+    "direction": (set_values("motor", 0, direction=0), "motor[index_motor].direction: 0; expected 1 or -1"),
     "schema of tomorrow": (lambda c: c.update(schema=3, novelty=1), "schema: 3; expected 1 or 2"),
     "negative mass": (
-        put("digit", 0, link_mass_kg=[-6.384e-3, 3.192e-3, 2.128e-3]),
+        set_values("digit", 0, link_mass_kg=[-6.384e-3, 3.192e-3, 2.128e-3]),
         "digit[index].link_mass_kg[0]: -0.006384; expected a number from 1e-05 to 0.5 kg",
     ),
-    "NaN in options": (put("motor", 0, options={"x": math.nan}), "motor[index_motor].options: "),
-    "list in options": (put("motor", 0, options={"x": [1]}), "motor[index_motor].options: "),
+    "NaN in options": (set_values("motor", 0, options={"x": math.nan}), "motor[index_motor].options: "),
+    "list in options": (set_values("motor", 0, options={"x": [1]}), "motor[index_motor].options: "),
 }
 
 

@@ -19,7 +19,7 @@ def hand(request):
     return load_hand(request.param)
 
 
-def changed(content, path, value):
+def with_value(content, path, value):
     """Return a copy of the content with one value replaced."""
     content = copy.deepcopy(content)
     node = content
@@ -59,13 +59,13 @@ def test_options_and_awkward_text_survive(tmp_path):
 def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
     plain = CONTENT[hand.name]
     assert hand_from_content(dict(reversed(plain.items())), "x").identity == hand.identity
-    whole = changed(plain, ("tendon", 0, "knee_N"), int(plain["tendon"][0]["knee_N"]))
+    whole = with_value(plain, ("tendon", 0, "knee_N"), int(plain["tendon"][0]["knee_N"]))
     assert hand_from_content(whole, "x").identity == hand.identity
     assert re.fullmatch(r"[0-9a-f]{64}", hand.identity)
     identities = {
-        hand_from_content(changed(plain, path, value * 1.0001), "x").identity for path, value in tweakable(plain)
+        hand_from_content(with_value(plain, path, value * 1.0001), "x").identity for path, value in free_values(plain)
     }
-    assert len(identities | {hand.identity}) == 1 + len(list(tweakable(plain)))
+    assert len(identities | {hand.identity}) == 1 + len(list(free_values(plain)))
 
 
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
@@ -80,7 +80,7 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
         assert load_hand(path).stream == one.stream
 
 
-def tweakable(content):
+def free_values(content):
     """Return values that may change slightly without a change of others."""
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]

@@ -22,7 +22,7 @@ def plain(content: dict[str, Any]) -> Any:
     return json.loads(json.dumps(content))
 
 
-def changed(path: tuple[Any, ...], value: Any) -> dict[str, Any]:
+def with_value(path: tuple[Any, ...], value: Any) -> dict[str, Any]:
     """Return the content of jamia11 with one value replaced."""
     content = copy.deepcopy(read_toml(hand_path("jamia11")))
     node: Any = content
@@ -69,7 +69,7 @@ WRONG = {
 
 @pytest.mark.parametrize(("path", "value"), WRONG.values(), ids=WRONG.keys())
 def test_json_schema_rejects_mistakes(path: tuple[Any, ...], value: Any) -> None:
-    assert not VALIDATOR.is_valid(changed(path, value))
+    assert not VALIDATOR.is_valid(with_value(path, value))
 
 
 def test_every_key_has_a_description() -> None:

@@ -24,7 +24,7 @@ from handctl.hand.load import load_hand
 from tests.hand.chains import random_hand
 
 
-def planar(digit, q):
+def planar_tip(digit, q):
     """Return position of the tip in the plane of a planar digit, and direction of its last link."""
     x, y, _ = from_palm(digit, joint_points(digit, q)[-1])
     return x, y, float(np.sum(q))
@@ -105,7 +105,7 @@ def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
 def test_the_paper_s_finger_at_thirty_degrees():
     """Eq. 1-2 with q1 = q2 = q3 = theta: X = 30 c(t) + 15 c(2t) + 10 c(3t)."""
     t = math.radians(30.0)
-    pose = planar(DigitModel.of(load_hand("jamia"), "index"), (t, t, t))
+    pose = planar_tip(DigitModel.of(load_hand("jamia"), "index"), (t, t, t))
     x = 0.030 * math.cos(t) + 0.015 * math.cos(2 * t) + 0.010 * math.cos(3 * t)
     y = 0.030 * math.sin(t) + 0.015 * math.sin(2 * t) + 0.010 * math.sin(3 * t)
     assert np.allclose(pose, (x, y, 3 * t), rtol=1e-13)
@@ -134,14 +134,14 @@ def test_quaternions_of_all_rotations(rng):
 def test_inverse_finds_the_angles_that_were_given(digits, rng):
     for digit in digits:
         for q in angles(rng, digit):
-            x, y, angle = planar(digit, q)
+            x, y, angle = planar_tip(digit, q)
             solutions = inverse_kinematics(digit, x, y, angle)
             assert len(solutions) == 2
             assert solutions[0][1] > 0.0 > solutions[1][1]
             gaps = [np.abs(np.remainder(np.subtract(s, q) + np.pi, 2 * np.pi) - np.pi).max() for s in solutions]
             assert min(gaps) < 1e-9
             for solution in solutions:
-                assert np.allclose(planar(digit, solution)[:2], (x, y), atol=1e-15)
+                assert np.allclose(planar_tip(digit, solution)[:2], (x, y), atol=1e-15)
 
 
 def test_inverse_near_the_edge_of_reach(digits):
@@ -151,7 +151,7 @@ def test_inverse_near_the_edge_of_reach(digits):
         assert inverse_kinematics(digit, reach + 1e-6, 0.0, 0.0) == ()
         for bend in (1e-3, 1e-5):
             q = (0.2, bend, 0.1)[: digit.joint_count]
-            x, y, angle = planar(digit, q)
+            x, y, angle = planar_tip(digit, q)
             assert np.allclose(inverse_kinematics(digit, x, y, angle)[0], q, atol=1e-15 / bend)
 
 

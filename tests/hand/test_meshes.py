@@ -266,7 +266,7 @@ def random_angles(hand, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(*hand.joint_limits)
 
 
-def exported(hand, folder: Path) -> dict[str, mujoco.MjModel]:
+def exported_models(hand, folder: Path) -> dict[str, mujoco.MjModel]:
     """Return the models of the hand as exported into another folder, and as simulated to draw."""
     output = folder / "out"
     output.mkdir()
@@ -287,7 +287,7 @@ def test_exports_put_each_mesh_where_its_link_is(
     folder: Path, name: str, rng: np.random.Generator
 ) -> None:
     hand = meshed(name)
-    models = exported(hand, folder)
+    models = exported_models(hand, folder)
     for _ in range(3):
         q = random_angles(hand, rng)
         expected = corners_of_hand(hand, folder, q)
@@ -301,7 +301,7 @@ def test_meshes_have_no_effect_on_the_dynamics(
 ) -> None:
     hand, bare = meshed(name), plain(name)
     (folder / "bare.toml").write_text(bare.to_toml())
-    models = exported(hand, folder)
+    models = exported_models(hand, folder)
     simulated = simulated_hand(str(folder / "bare.toml"))
     without = {
         "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare)),
@@ -334,7 +334,7 @@ def test_meshes_have_no_effect_on_the_dynamics(
 
 def test_other_libraries_read_the_urdf_with_its_meshes(folder: Path) -> None:
     hand = meshed("orca_like")
-    exported(hand, folder)
+    exported_models(hand, folder)
     path = str(folder / "out" / "hand.urdf")
     model = pinocchio.buildModelFromUrdf(path)
     kind = pinocchio.GeometryType.VISUAL

@@ -14,7 +14,7 @@ from handctl.hand.moment_arms import polynomial_of, table_residual
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
-from tests.hand.varied import varied
+from tests.hand.varied import with_varying_arms
 
 HANDS = packaged_hands()
 SEEDS = range(3)
@@ -23,7 +23,7 @@ SEEDS = range(3)
 @pytest.mark.parametrize("name", HANDS)
 @pytest.mark.parametrize("kind", ["polynomial", "table"])
 def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -> None:
-    hand = varied(name, 0.3, kind)
+    hand = with_varying_arms(name, 0.3, kind)
     for digit in (DigitModel.of(hand, one) for one in hand.digit_names):
         for seed in SEEDS:
             # Beyond the limits, too: there the arm is constant.
@@ -43,7 +43,7 @@ def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -
 @pytest.mark.parametrize("name", HANDS)
 def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
     constant = load_hand(name)
-    hand = varied(name, 0.0)
+    hand = with_varying_arms(name, 0.0)
     np.testing.assert_allclose(hand.moment_arms, constant.moment_arms, rtol=1e-12)
     q = np.random.default_rng(1).uniform(-1.0, 2.0, len(hand.joints))
     for one in hand.digit_names:
@@ -56,7 +56,7 @@ def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
 @pytest.mark.parametrize("name", HANDS)
 @pytest.mark.parametrize("kind", ["polynomial", "table"])
 def test_the_simulator_has_the_same_arms_from_its_own_polynomials(name: str, kind: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    hand = varied(name, 0.3, kind)
+    hand = with_varying_arms(name, 0.3, kind)
     path = tmp_path / "hand.toml"
     path.write_text(hand.to_toml())
     described = load_simulated(str(path))
@@ -110,7 +110,7 @@ MISTAKES = {
 @pytest.mark.parametrize("case", MISTAKES)
 def test_a_mistake_in_a_moment_arm_is_one_line(case: str) -> None:
     arm, text = MISTAKES[case]
-    content = varied("jamia", 0.0, "content")
+    content = with_varying_arms("jamia", 0.0, "content")
     content["tendon"][0]["moment_arm_m"]["index_j1"] = arm
     with pytest.raises(ConfigError) as caught:
         hand_from_content(content, "hand.toml")
@@ -121,13 +121,13 @@ def test_a_mistake_in_a_moment_arm_is_one_line(case: str) -> None:
 
 
 def test_a_hand_with_varying_arms_is_written_and_read_back() -> None:
-    hand: Hand = varied("jamia11", 0.3, "table")
+    hand: Hand = with_varying_arms("jamia11", 0.3, "table")
     again = hand_from_content(parse_toml(hand.to_toml(), "again"), "again")
     assert again.identity == hand.identity
     assert again.content == hand.content
 
 
 def test_graph_and_warnings_know_varying_arms() -> None:
-    hand = varied("jamia11", 0.3)
+    hand = with_varying_arms("jamia11", 0.3)
     assert "index_t1: j1 +2.1..3.9 mm" in text_graph(hand)
     assert not [text for text in grasp_warnings(hand) if "no digit" in text]

@@ -39,7 +39,7 @@ def is_number(value):
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def changed(content, path, value):
+def with_value(content, path, value):
     """Return a copy of the content with one value replaced."""
     content = copy.deepcopy(content)
     node = content
@@ -49,7 +49,7 @@ def changed(content, path, value):
     return content
 
 
-def said(content, path):
+def key_path_text(content, path):
     """Return the key path as the message spells it."""
     text, node = "", content
     for key in path:
@@ -65,7 +65,7 @@ FLAT = tuple(name for name in packaged_hands() if name != "orca_like")
 """Hands of planar digits on the palm. ``orca_like`` has the same keys and axes and inertias of spatial chains."""
 
 NUMBERS = [
-    pytest.param(CONTENT[name], path, value, id=f"{name}-{said(CONTENT[name], path)}")
+    pytest.param(CONTENT[name], path, value, id=f"{name}-{key_path_text(CONTENT[name], path)}")
     for name in FLAT
     for path, value in leaves(CONTENT[name])
     if is_number(value)
@@ -88,14 +88,14 @@ def test_invalid_number_in_a_hand_file_is_refused(refusal, content, path, value)
     if value != 0 and not SIGNED.search(str(path)):
         wrong.append((-value, str(-value)))
     for bad, shown in wrong:
-        line = refusal(changed(content, path, bad))
-        assert line.startswith(f"my/hand.toml: {said(content, path)}: {shown};")
+        line = refusal(with_value(content, path, bad))
+        assert line.startswith(f"my/hand.toml: {key_path_text(content, path)}: {shown};")
 
 
 @pytest.mark.parametrize(("content", "path", "value"), NUMBERS)
 def test_no_number_may_be_absurdly_large(refusal, content, path, value):
     for absurd in (1e9, 10**400):
-        assert f"my/hand.toml: {said(content, path)}: " in refusal(changed(content, path, absurd))
+        assert f"my/hand.toml: {key_path_text(content, path)}: " in refusal(with_value(content, path, absurd))
 
 
 @pytest.mark.parametrize("name", FLAT)
@@ -104,13 +104,13 @@ def test_a_missing_key(refusal, name):
         for key in table:
             if key in ("schema", "sensor_node") or "mesh" in key:  # they may be absent
                 continue
-            content = changed(CONTENT[name], (*path, key), None)
+            content = with_value(CONTENT[name], (*path, key), None)
             node = content
             for part in path:
                 node = node[part]
             del node[key]
             line = refusal(content)
-            place = said(content, path)
+            place = key_path_text(content, path)
             if key in OPTIONAL:
                 assert "index_tendon" in line or f"{place}.{key}: its tendons" in line
             else:
@@ -120,8 +120,8 @@ def test_a_missing_key(refusal, name):
 @pytest.mark.parametrize("name", packaged_hands())
 def test_an_unknown_key(refusal, name):
     for path, _ in tables(CONTENT[name]):
-        line = refusal(changed(CONTENT[name], (*path, "colour"), 1.0))
-        place = said(CONTENT[name], path)
+        line = refusal(with_value(CONTENT[name], (*path, "colour"), 1.0))
+        place = key_path_text(CONTENT[name], path)
         assert line.startswith(f"my/hand.toml: {place}{'.' if place else ''}colour: unknown key; expected one of ")
 
 
@@ -131,7 +131,7 @@ def test_a_misspelt_key_is_reported_with_the_right_one(refusal, name):
         for key in table:
             if key == "schema" and path == ():
                 continue
-            content = changed(CONTENT[name], (*path, key + "s"), table[key])
+            content = with_value(CONTENT[name], (*path, key + "s"), table[key])
             node = content
             for part in path:
                 node = node[part]
@@ -148,7 +148,7 @@ def test_random_change_is_read_or_refused_in_one_line():
             continue
         for odd in ("", "x\ny", 0, -1, 1.5, False, [], {}, [[]], [{}], {"name": 3}, [None], 2**70):
             for depth in range(1, len(path) + 1):
-                assert usable_or_refused(changed(content, path[:depth], odd))
+                assert usable_or_refused(with_value(content, path[:depth], odd))
 
 
 def usable_or_refused(content):

@@ -12,7 +12,7 @@ from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 from handctl.hand.strength import STRENGTH_MARGIN, largest_force, runaway_tension, strength_warnings
 
 
-def changed(
+def with_ratings(
     hand: Hand, *, rated: float | None = None, peak: float | None = None, strength: float | None = None
 ) -> Hand:
     """Return the hand with a joint rating [N m], a motor's peak torque [N m] and a tendon's strength [N] for all."""
@@ -44,12 +44,12 @@ def test_the_bound_is_exact(name):
         most = largest_force(strength)
         assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(most))
         for factor, warned in ((0.999, False), (1.001, True)):
-            other = changed(hand, peak=factor * most * spool, strength=strength)
+            other = with_ratings(hand, peak=factor * most * spool, strength=strength)
             assert any("torque_peak_N_m" in line for line in strength_warnings(other)) == warned
 
 
 def test_a_drive_limit_too_high_is_reported_with_the_right_one():
-    hand = changed(load_hand("jamia"), strength=470.0)
+    hand = with_ratings(load_hand("jamia"), strength=470.0)
     (line,) = [line for line in strength_warnings(hand) if "drive_limit_N" in line]
     assert line.startswith("index_tendon, middle_tendon and 2 more: drive_limit_N (160 N at the tendon) makes 320 N")
     assert "a factor of 1.47 to the 470 N" in line
@@ -59,7 +59,10 @@ def test_a_drive_limit_too_high_is_reported_with_the_right_one():
 def test_joints_without_rating_are_reported_and_weak_ones_by_name():
     hand = load_hand("jamia")
     assert any("joint_rated_torque_N_m is missing" in line for line in strength_warnings(hand))
-    strong, weak = changed(hand, rated=2.26), changed(hand, rated=2.24)  # 500 N at 3 mm, times 1.5, make 2.25 N m
+    strong, weak = (
+        with_ratings(hand, rated=2.26),
+        with_ratings(hand, rated=2.24),
+    )  # 500 N at 3 mm, times 1.5, make 2.25 N m
     assert not any("joint_rated" in line or "its rating" in line for line in strength_warnings(strong))
     (line,) = [line for line in strength_warnings(weak) if "its rating" in line]
     assert line.startswith("index_j1, index_j2 and 9 more: ")

@@ -35,7 +35,7 @@ def jamia() -> dict[str, Any]:
     return read_toml(hand_path("jamia"))
 
 
-def taken(content: dict[str, Any]) -> Hand:
+def hand_of_content(content: dict[str, Any]) -> Hand:
     """Return the hand of a content, which must be without mistakes."""
     hand, mistakes = validate_content(content)
     assert not mistakes
@@ -67,13 +67,13 @@ def test_a_section_replaces_its_template_and_the_template_the_default() -> None:
     content["default"]["digit"]["link_radius_m"] = 0.006
     content["digit_template"]["finger"]["link_radius_m"] = 0.005
     content["digit"][1]["link_radius_m"] = 0.003
-    assert [digit.link_radius_m for digit in taken(content).digit] == [0.005, 0.003, 0.005, 0.006]
+    assert [digit.link_radius_m for digit in hand_of_content(content).digit] == [0.005, 0.003, 0.005, 0.006]
 
 
 def test_tables_are_merged_key_by_key() -> None:
     content = jamia()
     content["digit"][0]["tendon"] = {"tendon": {"knee_N": 150.0, "moment_arm_m": {"j3": 0.002}}}
-    first, second, *_ = taken(content).tendon
+    first, second, *_ = hand_of_content(content).tendon
     assert first.moment_arm_m == {"index_j1": 0.003, "index_j2": 0.003, "index_j3": 0.002}
     assert (first.knee_N, second.knee_N) == (150.0, 200.0)
 
@@ -84,7 +84,7 @@ def test_tendons_and_motors_have_templates_too() -> None:
     content["motor_template"] = {"slow": {"velocity_range_rad_s": 30.0}}
     content["digit_template"]["finger"]["tendon"]["tendon"]["template"] = "thin"
     content["digit"][0]["motor"]["motor"]["template"] = "slow"
-    hand = taken(content)
+    hand = hand_of_content(content)
     assert [tendon.rated_breaking_force_N for tendon in hand.tendon] == [300.0, 300.0, 300.0, 620.0]
     assert [motor.velocity_range_rad_s for motor in hand.motor] == [30.0, 50.0, 50.0, 50.0]
 
@@ -96,13 +96,16 @@ def test_tendons_and_motors_may_stand_beside_the_digits() -> None:
     arms = {"thumb_j1": 0.003, "thumb_j2": 0.003}
     content["tendon"] = [{"name": "thumb_tendon", "motor": "thumb_motor", "moment_arm_m": arms}]
     content["motor"] = [{"name": "thumb_motor", "node_id": 4}]
-    assert taken(content).identity == IDENTITIES["jamia"]
+    assert hand_of_content(content).identity == IDENTITIES["jamia"]
 
 
 def test_one_number_holds_for_every_link() -> None:
     content = jamia()
     content["digit"][0]["joint_max_deg"] = 90
-    assert [digit.joint_max_deg for digit in taken(content).digit[::3]] == [(90.0, 90.0, 90.0), (100.0, 100.0)]
+    assert [digit.joint_max_deg for digit in hand_of_content(content).digit[::3]] == [
+        (90.0, 90.0, 90.0),
+        (100.0, 100.0),
+    ]
 
 
 def test_all_stands_for_every_tendon_and_joint() -> None:

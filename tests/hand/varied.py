@@ -8,7 +8,7 @@ import numpy as np
 from handctl.hand.load import hand_from_content, load_hand
 
 
-def varied(name: str, fraction: float, kind: str = "polynomial", encoders: bool = True) -> Any:
+def with_varying_arms(name: str, fraction: float, kind: str = "polynomial", encoders: bool = True) -> Any:
     """Return a hand with arms from ``1 - fraction`` at the lower to ``1 + fraction`` at the upper limits of the joints.
 
     Args:

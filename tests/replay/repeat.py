@@ -20,7 +20,7 @@ def mean_angles_apart(before: RunLog, after: RunLog) -> NDArray[np.float64]:
     hand = load_hand(before.header.metadata["hand"])
     old, new = (
         mean_angles(hand, resampled_field(log, "q", start, times))
-        for log, start in ((before, start), (after, again(after)))
+        for log, start in ((before, start), (after, start_of_repetition_s(after)))
     )
     return np.degrees(np.abs(new - old))
 
@@ -30,10 +30,10 @@ def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], N
     starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
     start, _ = active_interval(before)
     at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start
-    return _mean(before, start, *at_rest), _mean(after, again(after), *at_rest)
+    return _mean(before, start, *at_rest), _mean(after, start_of_repetition_s(after), *at_rest)
 
 
-def again(log: RunLog) -> float:
+def start_of_repetition_s(log: RunLog) -> float:
     """Return the start of the repetition [s]."""
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 

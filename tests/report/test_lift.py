@@ -16,7 +16,7 @@ SINKS, ENDS = 200, 350
 """Ticks at which the table begins to sink and at which the hold ends."""
 
 
-def lift_truth(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, TruthRecord]:
+def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, TruthRecord]:
     """Create a truth in which table and object sink linearly from SINKS to the end of the hold."""
     log = MadeUpLog(JAMIA, TICKS, {0: "close", 100: "carry", ENDS: "release"})
     truth = truth_of(JAMIA, TICKS)
@@ -30,43 +30,43 @@ def lift_truth(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, TruthRecord]:
     return log, truth
 
 
-def judged(log: MadeUpLog, truth: TruthRecord | None, *holds: str) -> dict[str, Any]:
+def lift_result(log: MadeUpLog, truth: TruthRecord | None, *holds: str) -> dict[str, Any]:
     return judge_lift(log, truth, 0, holds)  # type: ignore[arg-type]
 
 
 def test_an_object_that_stays_in_the_hand_is_carried() -> None:
-    lift = judged(*lift_truth(0.2, 0.0005), "carry")
+    lift = lift_result(*log_and_truth_of_lift(0.2, 0.0005), "carry")
     assert lift["table_sunk_mm"] == pytest.approx(200.0)
     assert lift["object_slid_mm"] == pytest.approx(0.5, abs=0.01)
     assert lift_failure(lift) == ""
 
 
 def test_an_object_that_falls_with_its_table_is_a_failure() -> None:
-    lift = judged(*lift_truth(0.2, 0.2), "carry")
+    lift = lift_result(*log_and_truth_of_lift(0.2, 0.2), "carry")
     assert "moved 199 mm while the table sank 200 mm" in lift_failure(lift)
 
 
 @pytest.mark.parametrize("side", [-0.5, 0.5])
 def test_the_limit_is_slid_mm(side: float) -> None:
-    lift = judged(*lift_truth(0.2, (SLID_MM + side) * 1e-3), "carry")
+    lift = lift_result(*log_and_truth_of_lift(0.2, (SLID_MM + side) * 1e-3), "carry")
     assert bool(lift_failure(lift)) == (side > 0)
 
 
 def test_a_table_that_never_sank_is_a_failure_and_no_motion_is_shown() -> None:
-    log, truth = lift_truth(0.0, 0.0)
-    assert "never lifted" in lift_failure(judged(log, truth, "carry"))
+    log, truth = log_and_truth_of_lift(0.0, 0.0)
+    assert "never lifted" in lift_failure(lift_result(log, truth, "carry"))
     steady = MadeUpLog(JAMIA, TICKS, {0: "hold"})
     steady.fields["contact"][:, 0] = 1.0
     steady.fields["tension_goal"][:] = steady.fields["tension"][:] = steady.fields["tension_raw"][:] = 9.0
     steady.fields["tip_force"][:] = 0.0
     assert np.isnan(summarise(steady, JAMIA, truth, 0)["object_motion_mm"])  # type: ignore[arg-type]
-    _, sinking = lift_truth(0.2, 0.0)
+    _, sinking = log_and_truth_of_lift(0.2, 0.0)
     assert not np.isnan(summarise(steady, JAMIA, sinking, 0)["object_motion_mm"])  # type: ignore[arg-type]
 
 
 def test_without_a_sinking_table_or_a_hold_there_is_no_judgement() -> None:
-    log, truth = lift_truth(0.2, 0.2)
-    for lift in (judged(log, truth), judged(log, truth, "elsewhere"), judged(log, None, "carry"),
-                  judged(log, truth_of(JAMIA, TICKS), "carry")):  # fmt: skip
+    log, truth = log_and_truth_of_lift(0.2, 0.2)
+    for lift in (lift_result(log, truth), lift_result(log, truth, "elsewhere"), lift_result(log, None, "carry"),
+                  lift_result(log, truth_of(JAMIA, TICKS), "carry")):  # fmt: skip
         assert np.isnan(lift["table_sunk_mm"])
         assert lift_failure(lift) == ""

@@ -48,7 +48,7 @@ class Medium:
             close()
 
 
-def drained(bus: Bus, count: int) -> list[Frame]:
+def drain_bus(bus: Bus, count: int) -> list[Frame]:
     """Read at least this many frames, or all that arrive in time."""
     frames = list(bus.drain())
     end = time.monotonic() + WAIT_S
@@ -83,7 +83,7 @@ def test_frames_of_all_kinds_arrive_complete_and_in_order(medium: Medium) -> Non
     receiver = medium.open(index=3)
     batch = some_frames(500, seed=1)
     assert sender.send(batch[:300]) + sender.send(batch[300:]) == len(batch)
-    received = drained(receiver, len(batch))
+    received = drain_bus(receiver, len(batch))
     assert contents(received) == contents(batch)
     assert {frame.bus for frame in received} == {3}
     assert sender.take_events() == receiver.take_events() == []
@@ -95,7 +95,7 @@ def test_every_node_receives_all_frames_but_its_own(medium: Medium) -> None:
         assert bus.send([Frame(number, b"me")]) == 1
     for number, bus in enumerate(buses):
         others = {0, 1, 2} - {number}
-        assert {frame.can_id for frame in drained(bus, 2)} == others
+        assert {frame.can_id for frame in drain_bus(bus, 2)} == others
         assert bus.drain() == []
 
 
@@ -116,7 +116,7 @@ def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
     start = time.monotonic_ns()
     for number in range(20):
         sender.send([Frame(number, b"")])
-    stamps = [frame.t_ns - offset for frame in drained(receiver, 20)]
+    stamps = [frame.t_ns - offset for frame in drain_bus(receiver, 20)]
     slack = 20_000_000  # wall clock against monotonic clock
     assert len(stamps) == 20
     assert stamps == sorted(stamps)
@@ -131,7 +131,7 @@ def test_a_payload_that_does_not_fit_is_refused_and_nothing_is_sent(medium: Medi
     with pytest.raises(ValueError, match=f"payload of {size} bytes"):
         sender.send([Frame(1, bytes(size), flags)])
     sender.send([Frame(2, b"last")])
-    assert contents(drained(receiver, 1)) == [(2, b"last", 0)]
+    assert contents(drain_bus(receiver, 1)) == [(2, b"last", 0)]
 
 
 def test_the_file_descriptor_becomes_readable_with_a_frame(medium: Medium) -> None:
@@ -171,7 +171,7 @@ def test_every_message_of_python_can_is_understood(medium: Medium) -> None:
     ]
     for message in sent:
         theirs.send(message)
-    assert contents(drained(ours, len(sent))) == [
+    assert contents(drain_bus(ours, len(sent))) == [
         (0x7FF, b"\x00\xff", 0),
         (0x1FFFFFFF | EXTENDED, bytes(range(8)), 0),
         (0x10 | REMOTE, bytes(4), 0),

@@ -183,7 +183,7 @@ class Range:
     def judged(self, runs: list[Killed]) -> list[Judged]:
         """Compare the runs with the truth of the simulator, which has ended."""
         truth = read_truth(self.truth)
-        return [judge(truth, run) for run in runs]
+        return [verdict_of_kill(truth, run) for run in runs]
 
 
 class Listener:
@@ -257,7 +257,7 @@ def read_syncs(path: Path) -> tuple[str, bytes]:
         time.sleep(0.05)
 
 
-def judge(truth: TruthRecord, run: Killed) -> Judged:
+def verdict_of_kill(truth: TruthRecord, run: Killed) -> Judged:
     """Judge the reaction of the drives in one run."""
     torque = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]]
     tension = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]]

@@ -354,7 +354,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
         other.close()
 
 
-def filled(path: Path) -> int:
+def fill_mailbox(path: Path) -> int:
     """Fill a mailbox completely and return the number of datagrams."""
     count = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
@@ -372,7 +372,7 @@ def filled(path: Path) -> int:
 def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(place, impatient, word, full):
     box = Mailbox(BUS)
     if full:
-        assert filled(box.path)
+        assert fill_mailbox(box.path)
     began = time.monotonic()
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED) as caught:
         request_action(BUS, word)
@@ -394,7 +394,7 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(place, han
             done = handctl(*word, "--bus", BUS)
             assert (done.returncode, done.stdout) == (71, "")
             assert UNCONFIRMED in done.stderr
-        filled(mailbox_path(BUS))
+        fill_mailbox(mailbox_path(BUS))
         assert handctl("stop", "--cut", "--bus", BUS).returncode == 71
         process.send_signal(signal.SIGCONT)
         assert result_of(process)[0] in (0, 1), "it stood still (H03), and finds the orders as soon as it goes on"

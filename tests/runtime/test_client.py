@@ -50,7 +50,7 @@ def test_an_invalid_angle_is_refused_before_it_is_sent(alone, number):
         alone.move(index=number)
 
 
-def said(*texts):
+def status_with_events(*texts):
     return {"t_s": 1.5, "mode": "ACTIVE", "events": [{"name": "request", "text": text} for text in texts]}
 
 
@@ -59,11 +59,11 @@ def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
     """Regression: one of two programs on one hand took the refusals of the other as its own."""
     sent = []
     monkeypatch.setattr(alone._watcher, "send", lambda data, timeout: sent.append(json.loads(data)))
-    monkeypatch.setattr(alone, "_wait_until_following", lambda timeout: said())
+    monkeypatch.setattr(alone, "_wait_until_following", lambda timeout: status_with_events())
 
     def heard(timeout):
-        yield said("asked: move by somebody", theirs)
-        yield said(theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs)
+        yield status_with_events("asked: move by somebody", theirs)
+        yield status_with_events(theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs)
 
     monkeypatch.setattr(alone._watcher, "lines", heard)
     reply = "move index 3"

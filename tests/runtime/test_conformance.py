@@ -19,7 +19,7 @@ from tests.drives.virtual_bench import VirtualBench, rig_on
 LIMIT = 0.1
 
 
-def judged(
+def check_results(
     protocol, fault="", options=None, inertia=None, delay=0
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
     place = VirtualBench(protocol, fault, inertia, delay)
@@ -37,7 +37,7 @@ def failed(found):
 
 
 def test_a_good_drive_keeps_every_promise(protocol):
-    failures, place, rig = judged(protocol)
+    failures, place, rig = check_results(protocol)
     assert [check for check in failures.values() if check.verdict is not CheckVerdict.PASSED] == []
     assert 0.0 < place.top <= LIMIT * 1.001
     assert rig.confirm_off(0.05)
@@ -63,7 +63,7 @@ def test_a_good_drive_passes_three_times_running(protocol):
 @pytest.mark.parametrize("inertia", [2e-5, 1e-4, 2e-3])
 @pytest.mark.parametrize("delay", [1, 3])
 def test_a_light_shaft_and_a_slow_wire_make_no_failure(protocol, inertia, delay):
-    failures, place, _ = judged(protocol, inertia=inertia, delay=delay)
+    failures, place, _ = check_results(protocol, inertia=inertia, delay=delay)
     assert failed(failures) == []
     assert abs(place.bench.motors[0].omega) < 20.0
 
@@ -83,7 +83,7 @@ BROKEN_PROMISE = {
 def test_a_broken_drive_fails_its_check(protocol, fault):
     if fault == "eager" and not SIMULATED[protocol].force_command:
         pytest.skip("its simulated drive cannot follow a torque command while disabled")
-    failures, place, _ = judged(protocol, fault)
+    failures, place, _ = check_results(protocol, fault)
     assert BROKEN_PROMISE[fault] in failed(failures)
     assert place.top <= LIMIT * 1.001
 
@@ -92,8 +92,8 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
 @pytest.mark.parametrize("protocol", sorted(PROTOCOLS.keys() - set(GUARDED)))
 def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
     """A deaf CubeMars passed like a good one, because its feedback does not report whether it is enabled."""
-    good, _, _ = judged(protocol)
-    broken, place, _ = judged(protocol, fault)
+    good, _, _ = check_results(protocol)
+    broken, place, _ = check_results(protocol, fault)
     assert BROKEN_PROMISE[fault] not in failed(good)
     assert BROKEN_PROMISE[fault] in failed(broken)
     assert place.top <= LIMIT * 1.05
@@ -110,25 +110,25 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
 
 def test_a_second_drive_never_turns(protocol):
     """Nothing is enabled once a second drive has answered."""
-    _, place, _ = judged(protocol, "twin")
+    _, place, _ = check_results(protocol, "twin")
     assert place.top == 0.0
 
 
 def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
-    _, place, rig = judged(protocol, "deaf")
+    _, place, rig = check_results(protocol, "deaf")
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
 
 
 def test_a_blocked_shaft_is_no_failure(protocol):
-    failures, _, _ = judged(protocol, inertia=100.0)
+    failures, _, _ = check_results(protocol, inertia=100.0)
     check = failures["turns the positive way by positive torque"]
     assert check.verdict is CheckVerdict.NOT_APPLICABLE
     assert "did not turn at +0.100 N m" in check.reason
 
 
 def test_an_odrive_without_watchdog_fails_that_check_only():
-    failures, _, _ = judged("odrive", options={"torque_feedback": True})
+    failures, _, _ = check_results("odrive", options={"torque_feedback": True})
     assert failed(failures) == [BROKEN_PROMISE["watchdog"]]
     assert "CANSimple cannot read it" in failures[BROKEN_PROMISE["watchdog"]].reason
     for option in ("endpoint_enable_watchdog", "endpoint_watchdog_timeout"):

@@ -13,7 +13,7 @@ from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import release_drive
 from handctl.runtime.diagnostics.drive_jog import JogGoal, distance_at, jog_drive
 from handctl.runtime.diagnostics.drive_rig import DriveRig
-from tests.drives.protocol_bench import described
+from tests.drives.protocol_bench import motor_on_bench
 from tests.drives.virtual_bench import NODE, OPTIONS, VirtualBench
 
 LIMIT = 0.2
@@ -25,7 +25,7 @@ MODES.append(("mit", DriveMode.FORCE_POSITION))
 
 def bench_of(protocol, mode, fault="", direction=1, zero=0.0, limits=LIMITS):
     place = VirtualBench(protocol, fault)
-    motor = described(protocol, NODE, LIMIT, OPTIONS[protocol], direction=direction, zero_rad=zero)
+    motor = motor_on_bench(protocol, NODE, LIMIT, OPTIONS[protocol], direction=direction, zero_rad=zero)
     return place, DriveRig(make_mode_drive(motor, 0, mode, limits), place, place), make_drive(motor, 0)
 
 

@@ -8,7 +8,7 @@ from handctl.runtime.buses.interface import rate_difference, wrong_rate
 from handctl.runtime.buses.link import parse_link
 
 
-def shown(nominal: int | None, data: int | None) -> str:
+def ip_output(nominal: int | None, data: int | None) -> str:
     """Return the output of iproute2 6.1 for a CAN interface, shortened."""
     info = {} if nominal is None else {"state": "ERROR-ACTIVE", "bittiming": {"bitrate": nominal}}
     info |= {} if data is None else {"data_bittiming": {"bitrate": data}}
@@ -30,7 +30,7 @@ def shown(nominal: int | None, data: int | None) -> str:
 def test_a_bit_rate_other_than_the_hand_files_is_reported(
     nominal: int | None, data: int | None, required: int | None, text: str
 ) -> None:
-    link = parse_link(shown(nominal, data))
+    link = parse_link(ip_output(nominal, data))
     assert link
     line = rate_difference("can0", link, 1_000_000, required)
     assert text in line

@@ -13,25 +13,25 @@ from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase
 from handctl.safety.action import Action
 from handctl.safety.judge import Report, filter_error_frames, second_controller_reports
-from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, T, made_up
+from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, T, synthetic_limits
 
 COUNT = 8
 """Tendons of the hand. Faults that exclude each other in one tendon are shown in two, so that they can come at once."""
 LIMITS = replace(
-    made_up(COUNT), tension_trip=(140.0, 50.0, *(140.0,) * 6), drive_limit=(160.0, 60.0, *(160.0,) * 6)
+    synthetic_limits(COUNT), tension_trip=(140.0, 50.0, *(140.0,) * 6), drive_limit=(160.0, 60.0, *(160.0,) * 6)
 )  # fmt: skip
 CELLS = COUNT
 """The load cells among the nodes."""
 
 
-class Shown(NamedTuple):
+class TickInput(NamedTuple):
     """Input of one tick: rows of the state that differ from rest, by field and index, and reports of buses and host."""
 
     rows: Mapping[str, dict[object, float]] = MappingProxyType({})
     reports: tuple[Report, ...] = ()
 
 
-REST = Shown()
+REST = TickInput()
 
 
 class Case(NamedTuple):
@@ -43,8 +43,8 @@ class Case(NamedTuple):
         asleep: whether it does not count while nothing is armed.
     """
 
-    present: Shown
-    almost: Shown
+    present: TickInput
+    almost: TickInput
     instance: str
     debounce: int
     action: Action
@@ -52,57 +52,57 @@ class Case(NamedTuple):
     asleep: bool = False
 
 
-def rows(**cells: object) -> Shown:
+def rows(**cells: object) -> TickInput:
     """Return rows of the state: one number for a field of the run, numbers by index for other fields."""
-    return Shown({name: c if isinstance(c, dict) else {...: c} for name, c in cells.items()})  # type: ignore[misc]
+    return TickInput({name: c if isinstance(c, dict) else {...: c} for name, c in cells.items()})  # type: ignore[misc]
 
 
-def ages(field: str, **late: int) -> Shown:
+def frame_ages(field: str, **late: int) -> TickInput:
     """Return ages in ticks: feedback of motors (m1=...), frames of load cells (t1=...) or joints (j1=...)."""
     first = COUNT if field == "group_ns" and min(late)[0] == "j" else 0
     return rows(**{field: {first + int(name[1:]): NOW_NS - ticks * PERIOD_NS for name, ticks in late.items()}})
 
 
-def motors(**late: int) -> Shown:
-    return ages("feedback_ns", **late)
+def motors(**late: int) -> TickInput:
+    return frame_ages("feedback_ns", **late)
 
 
-def sensors(**late: int) -> Shown:
-    return ages("group_ns", **late)
+def sensors(**late: int) -> TickInput:
+    return frame_ages("group_ns", **late)
 
 
-def lost(**number: int) -> Shown:
+def lost(**number: int) -> TickInput:
     """Return losses of nodes (m1=..., cells=...) in the last ticks, the present tick excluded."""
     return rows(lost={(0, CELLS if name == "cells" else int(name[1:])): (1 << n) - 1 for name, n in number.items()})
 
 
-def misshapen(node: int, before: int) -> Shown:
+def misshapen(node: int, before: int) -> TickInput:
     """Return frames of a wrong length: one in this tick, and a number of them in the ticks before."""
     return rows(misread_now={node: 1}, misshapen={node: (1 << before) - 1})
 
 
-def residual(row: int, **values: float) -> Shown:
+def residual(row: int, **values: float) -> TickInput:
     """Return a filtered residual of tendons or motors."""
     return rows(residual={(row, int(name[1:])): value for name, value in values.items()})
 
 
-def tensions(**values: float) -> Shown:
+def tensions(**values: float) -> TickInput:
     return rows(measured_tension={int(name[1:]): value for name, value in values.items()})
 
 
-def heat(**values: float) -> Shown:
+def heat(**values: float) -> TickInput:
     return rows(temperature={int(name[1:]): value for name, value in values.items()})
 
 
-def error(motor: int, cause: Cause, code: int = 9) -> Shown:
+def error(motor: int, cause: Cause, code: int = 9) -> TickInput:
     return rows(phase={motor: int(Phase.FAULT)}, fault_cause={motor: int(cause)}, fault_code={motor: code})
 
 
-def io(kind: str, where: str = "can0", number: int = 1) -> Shown:
-    return Shown(reports=((kind, where, float(number)),))
+def io(kind: str, where: str = "can0", number: int = 1) -> TickInput:
+    return TickInput(reports=((kind, where, float(number)),))
 
 
-def merged(*shown: Shown) -> Shown:
+def merge_inputs(*shown: TickInput) -> TickInput:
     """Combine several inputs of one tick."""
     cells: dict[str, dict[object, float]] = {}
     for one in shown:
@@ -111,51 +111,51 @@ def merged(*shown: Shown) -> Shown:
             mine = cells.setdefault(name, {})
             for index, value in values.items():
                 mine[index] = larger(mine[index], value) if index in mine else value
-    return Shown(cells, tuple(dict.fromkeys(report for one in shown for report in one.reports)))
+    return TickInput(cells, tuple(dict.fromkeys(report for one in shown for report in one.reports)))
 
 
-def without_torque(shown: Shown) -> Shown:
+def without_torque(shown: TickInput) -> TickInput:
     """Return the same input for a hand that is ready to be armed."""
-    return Shown({**shown.rows, "mode": {...: int(Mode.READY)}}, shown.reports)
+    return TickInput({**shown.rows, "mode": {...: int(Mode.READY)}}, shown.reports)
 
 
-def slack(before: int, tendon: int = 3) -> Shown:
+def slack_tendon(before: int, tendon: int = 3) -> TickInput:
     """Return a tendon that has been slack for one tick more than the limit."""
     return rows(slack_ticks={tendon: before}, taut_ago={tendon: 5}, residual={(TENSION, tendon): 0.0})
 
 
-def derailed(tendon: int, deg: float) -> Shown:
+def derailed(tendon: int, deg: float) -> TickInput:
     """Return a difference of joint and spool in the third reading."""
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
     return rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},
                 measured_excursion={tendon: excursion})  # fmt: skip
 
 
-def stream(silence_ns: int) -> Shown:
+def stream(silence_ns: int) -> TickInput:
     """Return an open stream of targets whose latest target was sent some time ago."""
     return rows(streaming=2, stream_sent_ns=NOW_NS - silence_ns)
 
 
-def stuck_motor(motor: int, goal: float) -> Shown:
+def stuck_motor(motor: int, goal: float) -> TickInput:
     return rows(motor_value={motor: 0.0}, motor_stuck={motor: 50}, motor_anchor={(0, motor): 0.0, (1, motor): 20.0},
                 followed={motor: goal})  # fmt: skip
 
 
-def stuck_joint(joint: int, deg: float) -> Shown:
+def stuck_joint(joint: int, deg: float) -> TickInput:
     turned = np.radians(deg) / 50.0 + 20.0 / 1e5
     return rows(joint_value={joint: 0.3}, joint_stuck={joint: 50}, joint_anchor={joint: 0.0},
                 measured_joint={joint: 0.3}, measured_travel={joint: turned})  # fmt: skip
 
 
-def replayed(tendon: int, run: int) -> Shown:
+def replayed_readings(tendon: int, run: int) -> TickInput:
     """Return readings that repeat those of 16 ticks ago, for the given number of times in a row."""
     past = {(age, tendon): 20.0 + (age - 15) / 16.0 for age in range(64)}
     return rows(past=past, same={(15, tendon): run - 1})
 
 
-def alone_on_the_bus(heard: bool) -> Shown:
+def alone_on_the_bus(heard: bool) -> TickInput:
     reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], heard)
-    return Shown({"mode": {...: int(Mode.INVENTORY)}}, tuple(reports))
+    return TickInput({"mode": {...: int(Mode.INVENTORY)}}, tuple(reports))
 
 
 RELAXED = {"mode": {...: int(Mode.RELAX)}, "mode_since": {...: NOW_NS * 1e-9 - 0.2}}
@@ -164,15 +164,15 @@ AFTER_CUT = {"mode": {...: int(Mode.CUT)}, "cut_ticks": {...: 49}}
 """Rows of a hand whose torque was cut 100 ms ago."""
 
 
-def pulled(tension: float) -> Shown:
-    return Shown({**AFTER_CUT, "measured_tension": {...: 5.0, 0: tension}, "cut_from": {0: 30.0}})
+def pulled(tension: float) -> TickInput:
+    return TickInput({**AFTER_CUT, "measured_tension": {...: 5.0, 0: tension}, "cut_from": {0: 30.0}})
 
 
-def swinging(tendon: int, before: float) -> Shown:
+def swinging(tendon: int, before: float) -> TickInput:
     return rows(swing_square={tendon: 90.0}, swing_s={tendon: before})
 
 
-def following(motor: int, part: float) -> Shown:
+def report_fractions(motor: int, part: float) -> TickInput:
     """Return the fraction of each command increment of 1 N that a motor reports."""
     return rows(report_moments={(row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))})
 
@@ -224,11 +224,11 @@ CASES = {
     "N15": Case(lost(m7=0)._replace(rows={"lost": {(0, 7): 0b1010101010101}}),
                 lost(m7=0)._replace(rows={"lost": {(0, 7): 0b10101010101}}), "m7", 1, WARN, False, True),
     "N16": Case(pulled(30.0), pulled(14.9), "t0", 1, CUT, True, True),
-    "N17": Case(following(1, 0.1), following(1, 0.2), "m1", 1, RELAX, True, True),
+    "N17": Case(report_fractions(1, 0.1), report_fractions(1, 0.2), "m1", 1, RELAX, True, True),
     "T01": Case(rows(measured_tension={3: 0.0}, speed={3: 0.1}), rows(measured_tension={3: 0.0}, speed={3: 0.03}),
                 "t3", 2, RELAX, True, True),
-    "T02a": Case(slack(25), slack(24), "t3", 1, WARN, False, True),
-    "T02b": Case(slack(250), slack(249), "t3", 1, RELAX, True, True),
+    "T02a": Case(slack_tendon(25), slack_tendon(24), "t3", 1, WARN, False, True),
+    "T02b": Case(slack_tendon(250), slack_tendon(249), "t3", 1, RELAX, True, True),
     "T03": Case(tensions(t1=50.1), tensions(t0=139.9, t1=50.0), "t1", 1, RELAX, True),
     "T03b": Case(tensions(t1=60.1), tensions(t0=159.9, t1=60.0), "t1", 1, CUT, True),
     "T03c": Case(tensions(t1=50.1)._replace(rows=tensions(t1=50.1).rows | RELAXED),
@@ -238,7 +238,7 @@ CASES = {
     "T04b": Case(residual(BALANCE, t1=10.1), residual(BALANCE, t0=10.0), "t1", 1, RELAX, True, True),
     "T05": Case(rows(cell_value={2: 20.0}, cell_stuck={2: 39}, cell_anchor={2: 14.0}),
                 rows(cell_value={2: 20.0}, cell_stuck={2: 38}, cell_anchor={2: 14.0}), "t2", 1, RELAX, True, True),
-    "T05b": Case(replayed(2, 16), replayed(2, 7), "t2", 1, RELAX, True, True),
+    "T05b": Case(replayed_readings(2, 16), replayed_readings(2, 7), "t2", 1, RELAX, True, True),
     "T06": Case(tensions(t0=244.0), tensions(t0=243.9, t1=-4.9), "t0", 3, RELAX, True, True),
     "T08": Case(derailed(4, 15.1), derailed(4, 14.9), "t4", 1, RELAX, True, True),
     "T09": Case(residual(EXCESS_FRICTION, t0=3.1), residual(EXCESS_FRICTION, t1=3.0), "t0", 1, WARN, False, True),
@@ -249,7 +249,7 @@ CASES = {
     "H08": Case(io("recorder", "disk_full"), io("recorder", "misshapen"), "disk_full", 1, WARN, False),
     "H09": Case(io("recorder", "dropped"), io("dropped", "dropped"), "dropped", 1, WARN, False),
     "H10": Case(io("recorder", "gone"), io("recorder", "misshapen"), "gone", 1, WARN, False),
-    "H13": Case(Shown(reports=tuple(second_controller_reports(["0x001"]))), REST, "0x001", 1, RELAX, True),
+    "H13": Case(TickInput(reports=tuple(second_controller_reports(["0x001"]))), REST, "0x001", 1, RELAX, True),
     "I07a": Case(rows(refused_now=1, refused=1), rows(refused=1), "goal", 1, WARN, False, True),
     "I07b": Case(rows(refused_now=1, refused=3), rows(refused_now=1, refused=2), "goal", 1, RELAX, True, True),
     "I11a": Case(stream(100_000_001), stream(100_000_000), "stream", 1, HOLD, False, True),
@@ -264,8 +264,8 @@ OTHER_SIGNS = {
     "T06": [
         tensions(t0=-5.0),
         tensions(t0=300.0),
-        merged(tensions(t0=-3.0), rows(saturated={0: 1})),
-        merged(tensions(t0=9.0), rows(saturated={0: 1})),
+        merge_inputs(tensions(t0=-3.0), rows(saturated={0: 1})),
+        merge_inputs(tensions(t0=9.0), rows(saturated={0: 1})),
     ],
     "H08": [io("recorder", "disk_low")],
     "H09": [io("recorder", "filling")],
@@ -273,12 +273,12 @@ OTHER_SIGNS = {
 }
 
 
-def rested() -> Monitor:
+def rested_monitor() -> Monitor:
     """Return the monitor of a hand at rest. Its residuals keep the values that a test sets."""
     return Monitor(LIMITS, residual_fraction=0.0, coulomb=0.0, stiffness=1e5)
 
 
-def show(monitor: Monitor, shown: Shown) -> Rows:
+def show(monitor: Monitor, shown: TickInput) -> Rows:
     """Reset a monitor to rest, and return the rows to set for one tick."""
     monitor.forget()
     return dict(shown.rows)

@@ -29,7 +29,7 @@ Rows = dict[str, Any]
 """By the name of a field: a value for all its elements, or values by index."""
 
 
-def made_up(tendons: int) -> Limits:
+def synthetic_limits(tendons: int) -> Limits:
     """Return limits of a synthetic hand with tendons t0, t1, ..., each with one motor and one joint."""
     names = [tuple(f"{letter}{i}" for i in range(tendons)) for letter in "tmj"]
     return Limits(
@@ -193,7 +193,7 @@ def _python(function: Any) -> Any:
     return FunctionType(code.__code__, known, code.__name__, code.__defaults__)
 
 
-def interpreted(function: Any, *arguments: Any) -> Any:
+def call_interpreted(function: Any, *arguments: Any) -> Any:
     """Call an inner function without compilation. It may call other functions of its module."""
     with np.errstate(all="ignore"):
         return _python(function)(*arguments)

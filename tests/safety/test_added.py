@@ -17,9 +17,9 @@ TRIED = """
 import json
 from handctl.controller.tick import _fault_event
 from handctl.safety.faults.markdown import catalogue_markdown, fault_table_markdown
-from tests.safety.monitor import Monitor, made_up
+from tests.safety.monitor import Monitor, synthetic_limits
 
-monitor = Monitor(made_up(2))
+monitor = Monitor(synthetic_limits(2))
 verdicts = [monitor.judge({"measured_tension": {1: tension}}) for tension in (100.0, 100.5, 100.5)]
 print(json.dumps({
     "table": [line for line in fault_table_markdown().splitlines() if line.startswith("| T10 ")],
@@ -30,7 +30,7 @@ print(json.dumps({
 """
 
 
-def added(package: Path) -> None:
+def add_fault_of_page(package: Path) -> None:
     """Add the fault of the how-to page to a copy of the package."""
     declaration, detector = re.findall(r"```python\n(.*?) *```", PAGE, re.DOTALL)
     kind = package / "safety" / "faults" / "tendon.py"
@@ -53,7 +53,7 @@ def added(package: Path) -> None:
 def test_a_fault_is_declared_once_and_found_by_one_detector(tmp_path: Path, interpreted: str) -> None:
     package = tmp_path / "handctl"
     shutil.copytree(ROOT / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__"))
-    added(package)
+    add_fault_of_page(package)
     path = os.pathsep.join(map(str, (tmp_path, ROOT)))
     more = {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": interpreted, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     words = [sys.executable, "-W", "ignore", "-c", TRIED]

@@ -5,16 +5,16 @@ import pytest
 from handctl.core.detectors.answers import MAX_REQUESTS, add_requests, close_answered_requests
 from handctl.drives.contract import Phase
 from handctl.safety.faults.bus import WINDOW
-from tests.safety.monitor import Monitor, interpreted, made_up
+from tests.safety.monitor import Monitor, call_interpreted, synthetic_limits
 
 Owed = tuple[tuple[int, ...], ...]
 
 
-class Questions(Monitor):
+class OpenRequests(Monitor):
     """Motors with outstanding replies to requests of earlier ticks."""
 
     def __init__(self, owed: Owed) -> None:
-        super().__init__(made_up(len(owed)))
+        super().__init__(synthetic_limits(len(owed)))
         self.set({
             "open_questions": {n: len(ticks) for n, ticks in enumerate(owed)},
             "question": {(i, n): k for n, ticks in enumerate(owed) for i, k in enumerate(ticks)},
@@ -30,12 +30,12 @@ class Questions(Monitor):
         """Send one request to every motor. A motor that is not able may leave its request unanswered."""
         if able:
             self.set({"phase_before": [int(Phase.READY if one else Phase.READY - 1) for one in able]})
-        interpreted(add_requests, self.state_tables, k)
+        call_interpreted(add_requests, self.state_tables, k)
 
     def answer(self, came: list[int]) -> list[int]:
         """Receive a number of replies from each motor. Return the motors that replied too often."""
         self.set({"answered": came})
-        some = interpreted(close_answered_requests, self.state_tables, self.hand_tables)
+        some = call_interpreted(close_answered_requests, self.state_tables, self.hand_tables)
         surplus = self.view("surplus")
         assert some == bool(surplus.any())
         return [n for n, count in enumerate(surplus.tolist()) if count]
@@ -51,13 +51,13 @@ class Questions(Monitor):
     (((-WINDOW, 7 - WINDOW), (-WINDOW,)), (True, True), ((7 - WINDOW, 7), (-WINDOW, 7))),    # but the last one
 ])  # fmt: skip
 def test_a_request_increases_the_number_of_owed_replies(owed, able, after):
-    questions = Questions(owed)
+    questions = OpenRequests(owed)
     questions.ask(7, able)
     assert questions.owed == after
 
 
 def test_outstanding_requests_are_limited() -> None:
-    questions = Questions(((),))
+    questions = OpenRequests(((),))
     for k in range(3 * MAX_REQUESTS):
         questions.ask(k)
         assert len(questions.owed[0]) == min(k + 1, MAX_REQUESTS)
@@ -77,7 +77,7 @@ def test_outstanding_requests_are_limited() -> None:
     (((1, 2), (1, 2)), [1, 2], ((1,), ()), []),
 ])  # fmt: skip
 def test_replies_match_requests_and_the_rest_is_excess(owed, came, after, too_many):
-    questions = Questions(owed)
+    questions = OpenRequests(owed)
     assert questions.answer(came) == too_many
     assert questions.owed == after
     assert questions.get("surplus") == [1 + len(owed[n]) if n in too_many else 0 for n in range(len(owed))]
@@ -86,7 +86,7 @@ def test_replies_match_requests_and_the_rest_is_excess(owed, came, after, too_ma
 @pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])
 def test_a_run_of_late_answers_is_paid_once_whenever_it_begins(ticks: int) -> None:
     """After ticks without a reply, as many replies at once are no duplicate. One more reply is a duplicate."""
-    questions = Questions(((),))
+    questions = OpenRequests(((),))
     for start in range(2 * WINDOW):
         questions.set({"open_questions": 0})
         for k in range(start, start + ticks + 1):
@@ -99,7 +99,7 @@ def test_a_run_of_late_answers_is_paid_once_whenever_it_begins(ticks: int) -> No
 
 
 def test_answers_that_were_lost_hide_no_duplicates_for_long() -> None:
-    questions = Questions(((),))
+    questions = OpenRequests(((),))
     for k in range(WINDOW + 3):
         questions.ask(k)
         assert questions.answer([0] if k < 3 else [1]) == []
@@ -109,12 +109,12 @@ def test_answers_that_were_lost_hide_no_duplicates_for_long() -> None:
 
 
 def test_node_with_cyclic_messages_has_no_outstanding_requests() -> None:
-    questions = Questions(((), ()))
+    questions = OpenRequests(((), ()))
     questions.set_constants(answers_once=[0, 1])
     assert questions.answer([3, 2]) == [1]
 
 
 def test_a_load_cell_s_second_frame_is_one_too_many() -> None:
-    questions = Questions(((),))
+    questions = OpenRequests(((),))
     questions.set({"answered": 0, "group_answered": {0: 2}})
-    assert interpreted(close_answered_requests, questions.state_tables, questions.hand_tables)
+    assert call_interpreted(close_answered_requests, questions.state_tables, questions.hand_tables)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handctl.core.detectors.correlation import fraction_of_command_reported
-from tests.safety.monitor import Monitor, interpreted, made_up
+from tests.safety.monitor import Monitor, call_interpreted, synthetic_limits
 
 TICKS = 1000
 
@@ -13,7 +13,7 @@ class Motors(Monitor):
     """Motors with commanded and reported forces, checked after each tick."""
 
     def __init__(self, torque_step: float = 0.078) -> None:
-        super().__init__(made_up(2), torque_step=torque_step)
+        super().__init__(synthetic_limits(2), torque_step=torque_step)
         self.doubted = np.zeros(2, dtype=bool)
         """Motors that were ever said not to follow."""
 
@@ -25,7 +25,7 @@ class Motors(Monitor):
     @property
     def parts(self) -> list[float]:
         """Return the fraction of each command change that is reported."""
-        return [interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)]
+        return [call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)]
 
 
 def after(commanded: np.ndarray, reported: np.ndarray, torque_step: float = 0.078) -> Motors:
@@ -35,7 +35,7 @@ def after(commanded: np.ndarray, reported: np.ndarray, torque_step: float = 0.07
     return motors
 
 
-def noisy(seed: int, size: float = 0.1) -> np.ndarray:
+def noisy_commands(seed: int, size: float = 0.1) -> np.ndarray:
     """Return commands (TICKS, 2) [N] of two motors that hold 90 N, rounded to 12 bits as in a drive."""
     return 90.0 + size * np.random.default_rng(seed).standard_normal((TICKS, 2))
 
@@ -44,7 +44,7 @@ def rounded(force: np.ndarray) -> np.ndarray:
     return np.round(force / 0.078) * 0.078
 
 
-def reports(commanded: np.ndarray, ticks: int = 1) -> np.ndarray:
+def delayed_reports(commanded: np.ndarray, ticks: int = 1) -> np.ndarray:
     """Return the reports of drives that obey with a delay in ticks, in the order in which the ticks get them."""
     return rounded(np.roll(commanded, ticks, axis=0))
 
@@ -52,8 +52,8 @@ def reports(commanded: np.ndarray, ticks: int = 1) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("size", [0.02, 0.05, 0.1, 1.0])
 def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
-    commanded = noisy(seed, size)
-    assert not doubted(commanded, reports(commanded)).any()
+    commanded = noisy_commands(seed, size)
+    assert not doubted_motors(commanded, delayed_reports(commanded)).any()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -61,7 +61,9 @@ def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
 def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -> None:
     """Regression: commissioning ended with N17. One count of an AK80-6 is 1.17 N at a spool of 5 mm."""
     step = 1.17
-    commanded = 90.0 * (1.0 + 0.01 * np.random.default_rng(seed).random()) + fraction * step * (noisy(seed, 1.0) - 90.0)
+    commanded = 90.0 * (1.0 + 0.01 * np.random.default_rng(seed).random()) + fraction * step * (
+        noisy_commands(seed, 1.0) - 90.0
+    )
     made = np.round(np.roll(commanded, 1, axis=0) / step) * step
     assert not after(commanded, made, step).doubted.any()
 
@@ -69,20 +71,20 @@ def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("fault", ["swapped", "late"])
 def test_a_report_of_another_motor_or_of_another_time_is_found(seed: int, fault: str) -> None:
-    commanded = noisy(seed)
-    made = reports(commanded)[:, ::-1] if fault == "swapped" else reports(commanded, 26)
-    assert doubted(commanded, made).all()
+    commanded = noisy_commands(seed)
+    made = delayed_reports(commanded)[:, ::-1] if fault == "swapped" else delayed_reports(commanded, 26)
+    assert doubted_motors(commanded, made).all()
 
 
 def test_a_command_at_rest_and_a_report_at_rest_say_nothing() -> None:
     still = np.full((TICKS, 2), 90.0)
-    assert not after(still, reports(noisy(1))).unfollowed
-    assert not after(noisy(1), still).unfollowed
+    assert not after(still, delayed_reports(noisy_commands(1))).unfollowed
+    assert not after(noisy_commands(1), still).unfollowed
 
 
 def test_missing_reports_are_left_out() -> None:
-    commanded = noisy(3)
-    made = reports(commanded)
+    commanded = noisy_commands(3)
+    made = delayed_reports(commanded)
     made[::10] = np.nan
     state = after(commanded, made)
     assert state.parts == pytest.approx([1.0, 1.0], abs=0.25)
@@ -92,8 +94,8 @@ def test_missing_reports_are_left_out() -> None:
 
 
 def test_one_outlier_is_not_a_fault() -> None:
-    commanded = noisy(4)
-    made = reports(commanded)
+    commanded = noisy_commands(4)
+    made = delayed_reports(commanded)
     made[-2] += 50.0
     assert not after(commanded, made).unfollowed
 
@@ -102,15 +104,15 @@ def test_one_outlier_is_not_a_fault() -> None:
 @pytest.mark.parametrize("size", [0.02, 0.1, 1.0])
 def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> None:
     """Regression: a demo in real time ended with N17, because a busy host read every reply one tick late."""
-    commanded = noisy(seed, size)
-    assert not doubted(commanded, reports(commanded, 2)).any()
+    commanded = noisy_commands(seed, size)
+    assert not doubted_motors(commanded, delayed_reports(commanded, 2)).any()
 
 
-def stalled(seed: int) -> tuple[np.ndarray, np.ndarray]:
+def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """(TICKS, 2) commands, and the reports of drives that obey, on a bus that stands still for one to five ticks now
     and then: what was sent meanwhile is answered at once, before any of it is obeyed. The command moves on."""
     random = np.random.default_rng(seed)
-    commanded, made = noisy(seed), np.full((TICKS, 2), np.nan)
+    commanded, made = noisy_commands(seed), np.full((TICKS, 2), np.nan)
     obeyed, standstill = commanded[0].copy(), 0
     for k in range(1, TICKS):
         standstill = standstill - 1 if standstill else int(random.integers(1, 6)) * int(random.random() < 0.04)
@@ -121,17 +123,17 @@ def stalled(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return commanded, rounded(made)
 
 
-def doubted(commanded: np.ndarray, made: np.ndarray) -> np.ndarray:
+def doubted_motors(commanded: np.ndarray, made: np.ndarray) -> np.ndarray:
     """Return for both motors whether a tick reported that the motor does not follow."""
     return after(commanded, made).doubted
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_answers_after_a_standstill_are_not_a_fault(seed: int) -> None:
-    assert not doubted(*stalled(seed)).any()
+    assert not doubted_motors(*stalled_commands(seed)).any()
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_swapped_reports_are_found_between_standstills(seed: int) -> None:
-    commanded, made = stalled(seed)
-    assert doubted(commanded + noisy(seed + 100), made[:, ::-1]).all()
+    commanded, made = stalled_commands(seed)
+    assert doubted_motors(commanded + noisy_commands(seed + 100), made[:, ::-1]).all()

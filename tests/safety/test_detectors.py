@@ -16,15 +16,15 @@ from handctl.safety.faults.markdown import (
     late_rows,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
-from tests.safety.cases import error, merged, rested, tensions, without_torque
+from tests.safety.cases import error, merge_inputs, rested_monitor, tensions, without_torque
 
 
 def test_causes_of_a_drive_s_error() -> None:
     assert len(ROW_OF_CAUSE) == len(Cause)
     assert PHASE_FAULT == Phase.FAULT
-    shown = merged(error(0, Cause.OTHER, 9), error(1, Cause.HOT, 11), error(2, Cause.LOST, 12))
-    assert rested().tick(shown.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
-    assert "N11" not in rested().tick(without_torque(shown).rows)
+    shown = merge_inputs(error(0, Cause.OTHER, 9), error(1, Cause.HOT, 11), error(2, Cause.LOST, 12))
+    assert rested_monitor().tick(shown.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
+    assert "N11" not in rested_monitor().tick(without_torque(shown).rows)
     rows = {cause: DETECTOR_ROWS[row][0].id for cause, row in zip(Cause, ROW_OF_CAUSE, strict=True)}
     assert rows[Cause.DROPPED_OUT] == "N01"
     assert rows[Cause.WATCHDOG] == "N08"
@@ -35,9 +35,9 @@ def test_causes_of_a_drive_s_error() -> None:
 
 def test_a_tension_above_its_limit_is_detected() -> None:
     nan = float("nan")
-    assert rested().tick(tensions(t0=140.0, t1=50.5).rows)["T03"] == {"t1": 50.5}
-    assert "T03" not in rested().tick(tensions(t0=140.0, t1=50.0).rows)
-    assert rested().tick(tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {"t0": 150.0, "t2": 140.5}
+    assert rested_monitor().tick(tensions(t0=140.0, t1=50.5).rows)["T03"] == {"t1": 50.5}
+    assert "T03" not in rested_monitor().tick(tensions(t0=140.0, t1=50.0).rows)
+    assert rested_monitor().tick(tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {"t0": 150.0, "t2": 140.5}
 
 
 ONE = Fault("X01b", "a title", "a sign", Action.HOLD, "by itself", "Why.", "Do.", debounce=3, reports=("x",))

@@ -10,15 +10,15 @@ from handctl.core.types import Mode
 from handctl.safety.action import Action
 from handctl.safety.faults.table import TABLE
 from handctl.safety.judge import Latched
-from tests.safety.cases import CASES, REST, Shown, io, merged, motors, rested, rows, show, tensions
+from tests.safety.cases import CASES, REST, TickInput, io, merge_inputs, motors, rested_monitor, rows, show, tensions
 from tests.safety.monitor import Monitor
-from tests.safety.test_table import course
+from tests.safety.test_table import check_ticks
 
 ARMED = [id_ for id_ in CASES if CASES[id_].present.rows.get("mode", {...: Mode.ACTIVE})[...] in (4, 5)]
 PAIRS = list(pairwise([*ARMED, ARMED[0]])) + [(a, b) for a in ("B02", "T03", "N09b") for b in ARMED if a != b]
 
 
-def judged(monitor: Monitor, shown: Shown):
+def judged(monitor: Monitor, shown: TickInput):
     return monitor.judge(show(monitor, shown), shown.reports)
 
 
@@ -29,8 +29,8 @@ def test_all_but_those_of_other_modes_are_paired() -> None:
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_reported(first: str, second: str) -> None:
     a, b = CASES[first], CASES[second]
-    both = merged(a.present, b.present)
-    monitor, verdicts = course(*[both] * max(a.debounce, b.debounce))
+    both = merge_inputs(a.present, b.present)
+    monitor, verdicts = check_ticks(*[both] * max(a.debounce, b.debounce))
     assert verdicts[-1].action >= max(a.action, b.action)
     told = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
     assert {(first, a.instance), (second, b.instance)} <= told
@@ -42,24 +42,24 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
 def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str) -> None:
     """One fault comes and goes before the other. The first stays latched, and the second is still reported."""
     a, b = CASES[first], CASES[second]
-    monitor, first_verdicts = course(*[a.present] * a.debounce, REST)
-    _, verdicts = course(*[b.present] * b.debounce, monitor=monitor)
+    monitor, first_verdicts = check_ticks(*[a.present] * a.debounce, REST)
+    _, verdicts = check_ticks(*[b.present] * b.debounce, monitor=monitor)
     expected = max(b.action, a.action if a.latched else Action.PASS)
     assert verdicts[-1].action >= expected
     told = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
     assert second in told
-    _, (after,) = course(REST, monitor=monitor)
+    _, (after,) = check_ticks(REST, monitor=monitor)
     left = [case.action for case in (a, b) if case.latched]
     assert after.action >= max(left, default=Action.PASS)
     monitor.clear()
-    _, (calm,) = course(REST, monitor=monitor)
+    _, (calm,) = check_ticks(REST, monitor=monitor)
     assert calm.action == Action.PASS
     assert monitor.latched == ()
 
 
 def test_the_same_fault_of_two_instances_is_two_faults() -> None:
-    monitor, (one,) = course(motors(m0=6))
-    _, (two,) = course(motors(m1=6), monitor=monitor)
+    monitor, (one,) = check_ticks(motors(m0=6))
+    _, (two,) = check_ticks(motors(m1=6), monitor=monitor)
     assert [f.instance for f in one.findings if f.fault.id == "B02"] == ["m0"]
     assert [f.instance for f in two.findings if f.fault.id == "B02"] == ["m1"]
     assert [mark.instance for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]
@@ -67,15 +67,15 @@ def test_the_same_fault_of_two_instances_is_two_faults() -> None:
 
 def test_instances_do_not_help_each_other_over_the_debounce() -> None:
     left, right = tensions(t0=244.0), tensions(t1=244.0)
-    _, verdicts = course(left, right, left, right, left, right)
+    _, verdicts = check_ticks(left, right, left, right, left, right)
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
 
 
 def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
-    twice = Shown(reports=(*io("enobufs", "can0", 1).reports, *io("enobufs", "can0", 2).reports))
-    _, verdicts = course(twice)
+    twice = TickInput(reports=(*io("enobufs", "can0", 1).reports, *io("enobufs", "can0", 2).reports))
+    _, verdicts = check_ticks(twice)
     assert verdicts[0].action == Action.PASS
-    _, verdicts = course(twice, twice)
+    _, verdicts = check_ticks(twice, twice)
     assert verdicts[-1].action == Action.RELAX
     assert len(verdicts[-1].findings) == 1
 
@@ -84,27 +84,27 @@ LOUD = {id_: rows(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
 """Frames that are too many even after as many missed ticks as another fault shows."""
 SHOWN = {id_: LOUD.get(id_, CASES[id_].present) for id_ in ARMED}
 several = st.lists(st.sampled_from(ARMED), max_size=4)
-faulty = several.map(lambda ids: merged(*(SHOWN[i] for i in ids)))
+faulty = several.map(lambda ids: merge_inputs(*(SHOWN[i] for i in ids)))
 course_of_faults = st.lists(st.tuples(faulty, several, st.booleans()), max_size=30)
 
 
 @given(course_of_faults)
-def test_more_trouble_is_never_less_action(ticks: list[tuple[Shown, list[str], bool]]) -> None:
+def test_more_trouble_is_never_less_action(ticks: list[tuple[TickInput, list[str], bool]]) -> None:
     """Compare two runs with the same clear requests. One of them has additional faults in some ticks."""
-    less, more = rested(), rested()
+    less, more = rested_monitor(), rested_monitor()
     for shown, extra, cleared in ticks:
         if cleared:
             less.clear()
             more.clear()
         mild = judged(less, shown)
-        wild = judged(more, merged(shown, *(SHOWN[i] for i in extra)))
+        wild = judged(more, merge_inputs(shown, *(SHOWN[i] for i in extra)))
         assert wild.action >= mild.action
         assert set(less.latched) <= set(more.latched)
 
 
 @given(course_of_faults)
-def test_latches_only_grow_between_clearings(ticks: list[tuple[Shown, list[str], bool]]) -> None:
-    monitor, told = rested(), list[tuple[str, str]]()
+def test_latches_only_grow_between_clearings(ticks: list[tuple[TickInput, list[str], bool]]) -> None:
+    monitor, told = rested_monitor(), list[tuple[str, str]]()
     for shown, _, cleared in ticks:
         before = () if cleared else monitor.latched
         if cleared:

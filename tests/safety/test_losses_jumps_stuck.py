@@ -12,7 +12,7 @@ from handctl.core.detectors import losses, stuck
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import Event
 from handctl.safety.faults.bus import SHORT_WINDOW, WINDOW
-from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, interpreted, made_up
+from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, call_interpreted, synthetic_limits
 
 NAN = np.nan
 
@@ -31,7 +31,7 @@ class Window(Monitor):
     """A motor and its load cell, with a window of their lost frames."""
 
     def __init__(self, motor: int = 0, cells: int = 0, **constants: Any) -> None:
-        super().__init__(made_up(1), **constants)
+        super().__init__(synthetic_limits(1), **constants)
         pairs = (words(motor), words(cells))
         self.set({"lost": {(half, node): pair[half] for node, pair in enumerate(pairs) for half in (0, 1)}})
 
@@ -64,9 +64,9 @@ def test_window_shifts_by_one_bit_per_tick(before, now, after):
 
 def test_lost_replies_are_counted_per_window():
     window = Window(0b1011, (1 << WINDOW) - 1)
-    assert [interpreted(losses.count_lost_replies, window.state_tables, node) for node in (0, 1)] == [3, WINDOW]
+    assert [call_interpreted(losses.count_lost_replies, window.state_tables, node) for node in (0, 1)] == [3, WINDOW]
     for number, ones in ((0b1011, 3), (0, 0), (1 << (SHORT_WINDOW - 1), 1), ((1 << 62) - 1, 62)):
-        assert interpreted(losses.count_set_bits, number) == ones
+        assert call_interpreted(losses.count_set_bits, number) == ones
     window.set({"misshapen": 1 << (SHORT_WINDOW - 1) | 0b1})
     window.tick({"misread_now": 1})
     assert window.get("misshapen") == [0b11, 0b11], "so many of the last ticks, and no longer"
@@ -80,7 +80,7 @@ def test_lost_replies_are_counted_per_window():
     ("11" + "01" * 8 + "0000", True), ("01010010101010010101", True),
 ])  # fmt: skip
 def test_missing_every_second_tick_is_detected(pattern, half):
-    assert interpreted(losses.misses_every_second, Window(bits(pattern)).state_tables, 0) is half
+    assert call_interpreted(losses.misses_every_second, Window(bits(pattern)).state_tables, 0) is half
 
 
 def test_unknown_frames_leak_away_in_a_second():
@@ -96,7 +96,7 @@ def test_unknown_frames_leak_away_in_a_second():
     assert after(2e-3, rate=2.0) == 0.0, "a thousandth is forgotten"
 
 
-def refusing(rate: float) -> Any:
+def refusal_counter(rate: float) -> Any:
     """Return a function that counts the refused targets of a tick. It returns the ticks of the stored refusals."""
     window = Window()
     state = State(window.layout, window.block, Decisions((), None))  # type: ignore[arg-type]
@@ -113,7 +113,7 @@ def refusing(rate: float) -> Any:
 
 
 def test_refused_goals_are_those_of_the_last_second():
-    step = refusing(100.0)
+    step = refusal_counter(100.0)
     assert step(2, 10) == (10, 10)
     assert step(1, 109) == (10, 10, 109)
     assert step(0, 110) == (109,)
@@ -133,7 +133,7 @@ class Positions(Monitor):
     """Motors with screened positions, and their largest permitted step in a period [rad]."""
 
     def __init__(self, limits: list[float], **before: list[float]) -> None:
-        super().__init__(made_up(len(limits)), step_limit=limits)
+        super().__init__(synthetic_limits(len(limits)), step_limit=limits)
         self.set(before)
 
     def screen(self, value: list[float], missed: int = 0) -> list[float]:
@@ -210,42 +210,46 @@ def test_a_reading_that_is_missing_after_skipped_ticks_may_be_further_off_by_the
     assert positions.get("accepted_gap") == [5.0]
 
 
-def stand(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[int, float, float]:
+def add_reading(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[int, float, float]:
     """Add a reading of an encoder. Return the ticks without a change, and the motion of target and tension since."""
     rows: Rows = {"measured_travel": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
-    away = [interpreted(stuck.motion_since_reading, *pair) for pair in zip((goal, tension), anchor, strict=True)]
+    away = [call_interpreted(stuck.motion_since_reading, *pair) for pair in zip((goal, tension), anchor, strict=True)]
     return int(monitor.view("motor_stuck")[0]), *away
 
 
-def walk(values, witnesses):
+def ticks_and_motion(values, witnesses):
     """Return the ticks and the distance of each correlated signal after each tick."""
-    monitor = Monitor(made_up(1), residual_fraction=0.0)
-    return monitor, [stand(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)]
+    monitor = Monitor(synthetic_limits(1), residual_fraction=0.0)
+    return monitor, [add_reading(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)]
 
 
 def test_constant_reading_counts_while_its_references_move():
-    _, seen = walk([1.0, 1.0, 1.0, 2.0, 2.0], [(0.0, 5.0), (0.5, 5.0), (-1.0, 7.0), (-1.0, 7.0), (-1.0, 8.0)])
+    _, seen = ticks_and_motion(
+        [1.0, 1.0, 1.0, 2.0, 2.0], [(0.0, 5.0), (0.5, 5.0), (-1.0, 7.0), (-1.0, 7.0), (-1.0, 8.0)]
+    )
     assert seen == [(0, 0.0, 0.0), (1, 0.5, 0.0), (2, 1.0, 2.0), (0, 0.0, 0.0), (1, 0.0, 1.0)]
 
 
 def test_a_missing_reading_is_neither_the_same_nor_another_one():
-    monitor, seen = walk([1.0, NAN, 1.0, NAN, 2.0], [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (3.0, 0.0)])
+    monitor, seen = ticks_and_motion(
+        [1.0, NAN, 1.0, NAN, 2.0], [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (3.0, 0.0)]
+    )
     assert [ticks for ticks, *_ in seen] == [0, 0, 1, 1, 0]
     assert [first for _, first, _ in seen] == [0.0, 1.0, 2.0, 3.0, 0.0]
     assert monitor.get("motor_value") == [2.0]
 
 
 def test_missing_reference_is_used_once_it_is_read():
-    _, seen = walk([1.0] * 4, [(NAN, 0.0), (5.0, NAN), (7.0, 3.0), (NAN, 1.0)])
+    _, seen = ticks_and_motion([1.0] * 4, [(NAN, 0.0), (5.0, NAN), (7.0, 3.0), (NAN, 1.0)])
     assert [first for _, first, _ in seen] == [0.0, 0.0, 2.0, 0.0]
     assert [second for _, _, second in seen] == [0.0, 0.0, 3.0, 1.0]
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
     """A target that is reset to the measured position jumps, and no motor has to follow this jump."""
-    monitor = Monitor(made_up(3), moment_arms=0.02 * np.eye(3))
+    monitor = Monitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],
         "motor_value": 0.5, "excursion": [0.0, 11e-3, 2.3e-3], "q_goal": [0.0, 11e-3 / 0.02, 2.3e-3 / 0.02],
@@ -257,7 +261,7 @@ def test_goal_jump_moves_the_reference_of_the_stuck_test():
 
 
 def test_no_history_is_known_at_first():
-    monitor = Monitor(made_up(2))
+    monitor = Monitor(synthetic_limits(2))
     for name in ("motor_anchor", "cell_anchor", "joint_anchor", "motor_value", "cell_value", "joint_value"):
         assert np.isnan(monitor.view(name)).all()
     for name in ("motor_stuck", "cell_stuck", "joint_stuck"):

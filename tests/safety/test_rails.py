@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from handctl.safety.action import Action
-from tests.safety.cases import merged, rows, tensions, without_torque
-from tests.safety.monitor import Monitor, made_up
+from tests.safety.cases import merge_inputs, rows, tensions, without_torque
+from tests.safety.monitor import Monitor, synthetic_limits
 
-LIMITS = replace(made_up(2), tension_rail=243.9, tension_low=-4.0)
+LIMITS = replace(synthetic_limits(2), tension_rail=243.9, tension_low=-4.0)
 
 
 @pytest.mark.parametrize("rail", [243.9, 249.0, -4.0, -6.0])
@@ -29,8 +29,8 @@ def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
 
 def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:
     """With a tare of -3 N a broken wire reads -3 N, which a tendon may also read for a moment."""
-    shown = merged(tensions(t1=-3.0), rows(saturated={1: 1}))
+    shown = merge_inputs(tensions(t1=-3.0), rows(saturated={1: 1}))
     assert Monitor(LIMITS).tick(shown.rows)["T06"] == {"t1": -3.0}
     assert "T06" not in Monitor(LIMITS).tick(without_torque(shown).rows)
-    high = merged(tensions(t0=250.0, t1=244.0), rows(saturated={1: 1}))
+    high = merge_inputs(tensions(t0=250.0, t1=244.0), rows(saturated={1: 1}))
     assert Monitor(LIMITS).tick(high.rows)["T06"] == {"t0": 250.0, "t1": 244.0}

@@ -13,7 +13,7 @@ from handctl.core.detectors import replays
 from handctl.core.types import Mode
 from handctl.safety.faults.node import SWING_S
 from handctl.session.plan import highest_rate_of_buses
-from tests.safety.monitor import Monitor, made_up
+from tests.safety.monitor import Monitor, synthetic_limits
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20)
@@ -28,7 +28,7 @@ def readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarray:
 
 def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
     """Return the first tick with a finding and the finding, or -1 without a finding."""
-    monitor = Monitor(made_up(rows.shape[1]))
+    monitor = Monitor(synthetic_limits(rows.shape[1]))
     for k, row in enumerate(rows):
         if found := monitor.tick(measured_tension=row).get("T05b"):
             return k, [(monitor.limits.tendons.index(name), int(age)) for name, age in found.items()]
@@ -65,9 +65,9 @@ def test_a_missing_reading_equals_nothing() -> None:
     assert first_found(rows) == (-1, [])
 
 
-def swung(deviation: np.ndarray, period: float) -> tuple[float, float]:
+def first_oscillation(deviation: np.ndarray, period: float) -> tuple[float, float]:
     """Return the time [s] at which a deviation [N] counts as an oscillation, -1 if never, and its RMS then [N]."""
-    monitor = Monitor(made_up(2), period=period)
+    monitor = Monitor(synthetic_limits(2), period=period)
     for k, value in enumerate(deviation):
         if found := monitor.tick(measured_tension=[value, 0.0], wanted=0.0).get("N14b"):
             assert list(found) == ["t0"]
@@ -79,7 +79,7 @@ def swung(deviation: np.ndarray, period: float) -> tuple[float, float]:
 @pytest.mark.parametrize("hz", [15.0, 25.0, 40.0])
 def test_a_swing_of_twenty_newtons_is_found_in_a_third_of_a_second(rate: float, hz: float) -> None:
     t = np.arange(0.0, 1.0, 1.0 / rate) + 0.3e-3
-    when, rms = swung(20.0 * np.sin(2.0 * math.pi * hz * t), 1.0 / rate)
+    when, rms = first_oscillation(20.0 * np.sin(2.0 * math.pi * hz * t), 1.0 / rate)
     assert SWING_S <= when < 0.35
     assert 8.0 < rms < 20.0
 
@@ -87,10 +87,10 @@ def test_a_swing_of_twenty_newtons_is_found_in_a_third_of_a_second(rate: float, 
 @pytest.mark.parametrize("rate", [100.0, 500.0])
 def test_step_and_small_swing_are_no_oscillation(rate: float) -> None:
     t = np.arange(0.0, 2.0, 1.0 / rate)
-    assert swung(75.0 * np.clip(1.0 - t / 0.015, 0.0, 1.0) + 75.0 * np.exp(-t / 0.03), 1.0 / rate)[0] < 0.0
-    assert swung(9.0 * np.sin(2.0 * math.pi * 20.0 * t), 1.0 / rate)[0] < 0.0
-    assert swung(60.0 * np.sin(2.0 * math.pi * 0.5 * t), 1.0 / rate)[0] < 0.0, "slow"
-    assert swung(np.full(len(t), np.nan), 1.0 / rate)[0] < 0.0
+    assert first_oscillation(75.0 * np.clip(1.0 - t / 0.015, 0.0, 1.0) + 75.0 * np.exp(-t / 0.03), 1.0 / rate)[0] < 0.0
+    assert first_oscillation(9.0 * np.sin(2.0 * math.pi * 20.0 * t), 1.0 / rate)[0] < 0.0
+    assert first_oscillation(60.0 * np.sin(2.0 * math.pi * 0.5 * t), 1.0 / rate)[0] < 0.0, "slow"
+    assert first_oscillation(np.full(len(t), np.nan), 1.0 / rate)[0] < 0.0
 
 
 @pytest.mark.parametrize("seed", SEEDS if NIGHTLY else (3,))

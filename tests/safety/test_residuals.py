@@ -19,7 +19,7 @@ from handctl.core.detectors.residuals import (
 from handctl.core.types import Mode
 from handctl.safety.faults.node import NOT_OBEYED_N
 from handctl.safety.faults.tendon import FRICTION_WARN_N, RESIDUAL_WARN_N
-from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, interpreted, made_up
+from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, call_interpreted, synthetic_limits
 
 MASS, DAMPING, COULOMB = 5.2, 40.0, 3.0
 RNG = np.random.default_rng(1)
@@ -30,7 +30,7 @@ class Rotor(Monitor):
     """One motor and its tendon."""
 
     def __init__(self, **rows: Any) -> None:
-        super().__init__(made_up(1), motor_mass=MASS, motor_damping=DAMPING, coulomb=COULOMB)
+        super().__init__(synthetic_limits(1), motor_mass=MASS, motor_damping=DAMPING, coulomb=COULOMB)
         self.set({"residual": 0.0, **rows})
 
     def step(self, tension: float, force: float, speed: float = 0.0, asked: float | None = None) -> None:
@@ -45,15 +45,15 @@ class Rotor(Monitor):
     @property
     def unexplained(self) -> float:
         """Return the unexplained tension [N]."""
-        return float(interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0))
+        return float(call_interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0))
 
     @property
     def friction(self) -> float:
         """Return the friction above the modelled friction [N]."""
-        return float(interpreted(residuals.excess_friction, self.state_tables, 0))
+        return float(call_interpreted(residuals.excess_friction, self.state_tables, 0))
 
 
-def filtered(
+def residuals_after(
     seconds: float, tension: Course, force: Course, speed: Course = lambda t: 0.0, asked: Course | None = None,
     noise: float = 0.5,
 ) -> Rotor:  # fmt: skip
@@ -68,7 +68,7 @@ def filtered(
 
 @pytest.mark.parametrize("held", [0.0, 20.0, 100.0])
 def test_a_tendon_at_rest_leaves_no_residual(held):
-    state = filtered(2.0, lambda t: held, lambda t: held)
+    state = residuals_after(2.0, lambda t: held, lambda t: held)
     assert state.unexplained == 0.0
 
 
@@ -82,7 +82,7 @@ def test_inertia_friction_and_damping_are_explained():
     def force(t):
         return 20.0 + 5.2 * a * w * np.cos(w * t) + 40.0 * speed(t) + 3.0 * np.tanh(speed(t) / 1e-3)
 
-    state = filtered(3.0, lambda t: 20.0, force, speed)
+    state = residuals_after(3.0, lambda t: 20.0, force, speed)
     assert state.unexplained == 0.0
     assert state.friction < 1.0
 
@@ -94,20 +94,20 @@ def test_acceleration_torque_is_no_residual():
         speed = 10.0 * t
         return 20.0 + 5.2 * 10.0 + 40.0 * speed + 3.0 * np.tanh(speed * 1e3)
 
-    state = filtered(0.1, lambda t: 20.0, force, speed=lambda t: 10.0 * t, noise=0.0)
+    state = residuals_after(0.1, lambda t: 20.0, force, speed=lambda t: 10.0 * t, noise=0.0)
     assert abs(state.low(BALANCE)) < 0.2
-    still = filtered(0.1, lambda t: 20.0, force, noise=0.0)
+    still = residuals_after(0.1, lambda t: 20.0, force, noise=0.0)
     assert still.low(BALANCE) > 10.0, "it would be, if the rotor stood"
 
 
 @pytest.mark.parametrize("drift", [-20.0, 20.0])
 def test_a_load_cell_that_is_wrong_is_seen_within_a_second(drift):
-    state = filtered(1.0, lambda t: 24.0 + drift, lambda t: 24.0)
+    state = residuals_after(1.0, lambda t: 24.0 + drift, lambda t: 24.0)
     assert state.unexplained > 10.0
 
 
 def test_a_torque_constant_within_its_tolerance_is_no_fault():
-    state = filtered(2.0, lambda t: 100.0, lambda t: 109.0)
+    state = residuals_after(2.0, lambda t: 100.0, lambda t: 109.0)
     assert state.unexplained == 0.0
 
 
@@ -121,23 +121,23 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
     def force(t):
         return 20.0 + 5.2 * a * w * np.cos(w * t) + 40.0 * speed(t) + 11.0 * np.tanh(speed(t) / 1e-3)
 
-    moving = filtered(15.0, lambda t: 20.0, force, speed)
+    moving = residuals_after(15.0, lambda t: 20.0, force, speed)
     assert moving.friction > 3.0
-    resting = filtered(15.0, lambda t: 20.0, lambda t: 28.0)
+    resting = residuals_after(15.0, lambda t: 20.0, lambda t: 28.0)
     assert resting.friction == 0.0
 
 
 def test_missing_torque_is_detected():
     """A missing force of 39 N exceeds the limit after 20 ticks, and 14.9 N stay below it."""
-    state = filtered(20 * T, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 39.0)
+    state = residuals_after(20 * T, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 39.0)
     assert state.low(COMMAND_DIFFERENCE) > NOT_OBEYED_N
-    state = filtered(0.5, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 14.9)
+    state = residuals_after(0.5, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 14.9)
     assert state.low(COMMAND_DIFFERENCE) < NOT_OBEYED_N
 
 
 def test_noise_raises_nothing_in_ten_thousand_hours():
     """Compare filtered noise of a hand at rest, at three times the load-cell noise, with the warning limits."""
-    left = np.array([filtered(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).low(BALANCE) for _ in range(40)])
+    left = np.array([residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).low(BALANCE) for _ in range(40)])
     chance = 1.0 / (10_000.0 * 3600.0 / T)
     rare = NormalDist(sigma=float(left.std())).inv_cdf(1.0 - chance / 2.0)
     assert 0.5 < rare < 1.5, "the noise was felt"
@@ -145,7 +145,7 @@ def test_noise_raises_nothing_in_ten_thousand_hours():
 
 
 def test_bits_count_what_was_lost():
-    monitor = Monitor(made_up(2))
+    monitor = Monitor(synthetic_limits(2))
     for k in range(120):
         found = monitor.tick(feedback_ns=[NOW_NS - PERIOD_NS * (k % 2 == 0), NOW_NS])
     assert found["B03a"] == {"m0": 50.0}
@@ -157,7 +157,7 @@ def test_bits_count_what_was_lost():
 
 
 def test_unknown_frames_are_forgotten_after_a_second():
-    monitor = Monitor(made_up(1))
+    monitor = Monitor(synthetic_limits(1))
     assert monitor.tick(strange=100)["B10"] == {"bus": 100.0}
     for _ in range(1, 501):
         monitor.tick(strange=0)
@@ -165,7 +165,7 @@ def test_unknown_frames_are_forgotten_after_a_second():
 
 
 def test_a_tendon_that_was_never_taut_is_not_slack():
-    monitor = Monitor(made_up(2), residual_fraction=0.0)
+    monitor = Monitor(synthetic_limits(2), residual_fraction=0.0)
 
     def step(tension, wanted):
         return monitor.tick(residual={TENSION: tension}, wanted=wanted).get("T02a", {})
@@ -180,7 +180,7 @@ def test_a_tendon_that_was_never_taut_is_not_slack():
 
 def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
     def after(ticks, cell=0.5, speed=0.05):
-        monitor = Monitor(made_up(1), residual_fraction=0.0)
+        monitor = Monitor(synthetic_limits(1), residual_fraction=0.0)
         monitor.tick(wanted=24.0)
         for _ in range(ticks):
             found = monitor.tick(residual={TENSION: 0.0}, wanted=24.0, measured_tension=cell, speed=speed)
@@ -193,7 +193,7 @@ def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
 
 
 def test_a_tendon_still_pulled_after_the_cut_is_detected():
-    monitor = Monitor(made_up(2))
+    monitor = Monitor(synthetic_limits(2))
     monitor.tick(measured_tension=30.0)
     assert "N16" not in monitor.tick(mode=int(Mode.CUT), measured_tension=[30.0, 30.0])
     for _ in range(49):

@@ -6,40 +6,53 @@ import pytest
 
 from handctl.safety.action import Action
 from handctl.safety.judge import Latched, locate_reports, second_controller_reports
-from tests.safety.cases import LIMITS, RELAXED, REST, Shown, io, lost, merged, motors, rested, rows, show, tensions
-from tests.safety.test_table import course
+from tests.safety.cases import (
+    LIMITS,
+    RELAXED,
+    REST,
+    TickInput,
+    io,
+    lost,
+    merge_inputs,
+    motors,
+    rested_monitor,
+    rows,
+    show,
+    tensions,
+)
+from tests.safety.test_table import check_ticks
 
 NAN = math.nan
 UNREAD = tensions(**dict.fromkeys(LIMITS.tendons, NAN))
 
 
-def readings(id_: str, shown: Shown) -> list[tuple[str, float]]:
+def readings(id_: str, shown: TickInput) -> list[tuple[str, float]]:
     """Return the finding of a row in one tick."""
-    monitor = rested()
+    monitor = rested_monitor()
     return list(monitor.tick(show(monitor, shown)).get(id_, {}).items())
 
 
 def test_a_latched_fault_outlives_a_tick_with_nothing_near_any_limit() -> None:
-    monitor = rested()
+    monitor = rested_monitor()
     monitor.latched = (Latched("T03", "t0"), Latched("B12", "can0"))
     verdict = monitor.judge()
     assert monitor.latched == (Latched("T03", "t0"), Latched("B12", "can0"))
     assert (verdict.action, verdict.findings) == (Action.CUT, ())
-    assert rested().judge().action == Action.PASS
+    assert rested_monitor().judge().action == Action.PASS
 
 
 def test_a_finding_says_how_large_it_was() -> None:
-    _, verdicts = course(io("bus_off", number=7))
+    _, verdicts = check_ticks(io("bus_off", number=7))
     assert [finding.value for verdict in verdicts for finding in verdict.findings] == [7.0]
-    assert readings("N15", Shown({"lost": {(0, 0): 0b1010101010101}})) == [("m0", 0.5)], "half of its answers"
+    assert readings("N15", TickInput({"lost": {(0, 0): 0b1010101010101}})) == [("m0", 0.5)], "half of its answers"
     reports = second_controller_reports(["0x123"])
     assert [(f.id, name, value) for f, name, value in locate_reports(reports)] == [("H13", "0x123", 1.0)]
 
 
 def test_no_replies_are_expected_in_ticks_missed_by_the_host() -> None:
     everybody = motors(**dict.fromkeys(LIMITS.motors, 3))
-    assert readings("B01", merged(everybody, rows(missed=3))) == []
-    assert readings("B01", merged(everybody, rows(missed=3), motors(m1=4))) == [("m1", 4)]
+    assert readings("B01", merge_inputs(everybody, rows(missed=3))) == []
+    assert readings("B01", merge_inputs(everybody, rows(missed=3), motors(m1=4))) == [("m1", 4)]
     assert readings("B01", motors(m0=1)) == [("m0", 1)]
 
 
@@ -51,7 +64,7 @@ def test_a_node_that_does_not_hear_misses_as_many_ticks_as_the_row_says() -> Non
 
 def test_losses_of_a_hundred_ticks_are_reported_with_their_number() -> None:
     assert readings("B03a", lost(m1=21)) == [("m1", 21.0)]
-    assert readings("B03b", merged(lost(m1=20), Shown({"lost": {(1, 1): (1 << 21) - 1}}))) == [("m1", 41.0)]
+    assert readings("B03b", merge_inputs(lost(m1=20), TickInput({"lost": {(1, 1): (1 << 21) - 1}}))) == [("m1", 41.0)]
 
 
 def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault() -> None:
@@ -63,16 +76,16 @@ def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault(
 
 
 def test_over_tension_remains_at_the_rail_and_below_it_only_after_relaxing() -> None:
-    high = merged(UNREAD, REST)
+    high = merge_inputs(UNREAD, REST)
     high.rows["measured_tension"][1] = LIMITS.tension_rail + 1.0
     assert readings("T03c", high) == []
-    assert readings("T03c", Shown(high.rows | RELAXED)) == [("t1", LIMITS.tension_rail + 1.0)]
-    assert readings("T03c", Shown(UNREAD.rows | RELAXED)) == []
+    assert readings("T03c", TickInput(high.rows | RELAXED)) == [("t1", LIMITS.tension_rail + 1.0)]
+    assert readings("T03c", TickInput(UNREAD.rows | RELAXED)) == []
 
 
 @pytest.mark.parametrize("row", ["T03", "T03b", "T06"])
 def test_unread_tensions_cause_no_fault(row: str) -> None:
     assert readings(row, UNREAD) == []
-    one = merged(UNREAD, REST)
+    one = merge_inputs(UNREAD, REST)
     one.rows["measured_tension"][0] = 243.0 if row != "T06" else 300.0
     assert [name for name, _ in readings(row, one)] == ["t0"], "one of them"

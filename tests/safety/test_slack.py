@@ -10,7 +10,7 @@ from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import Mode
 from handctl.safety.faults.node import STILL_PULLING_N
 from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
-from tests.safety.monitor import Monitor, T, made_up
+from tests.safety.monitor import Monitor, T, synthetic_limits
 
 NAN = math.nan
 Values = list[float]
@@ -20,7 +20,7 @@ class Tendons(Monitor):
     """Tendons whose filtered tension a test sets."""
 
     def __init__(self, count: int, **rows: Any) -> None:
-        super().__init__(made_up(count), residual_fraction=0.0)
+        super().__init__(synthetic_limits(count), residual_fraction=0.0)
         self.set(rows)
 
     def step(self, tension: Values, wanted: Values, **rows: Any) -> list[tuple[int, int]]:

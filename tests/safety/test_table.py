@@ -20,30 +20,30 @@ from tests.safety.cases import (
     LIMITS,
     OTHER_SIGNS,
     REST,
-    Shown,
+    TickInput,
     heat,
-    merged,
-    rested,
+    merge_inputs,
+    rested_monitor,
     show,
     tensions,
     without_torque,
 )
-from tests.safety.monitor import Monitor, interpreted
+from tests.safety.monitor import Monitor, call_interpreted
 
 SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 
 
-def course(*ticks: Shown, monitor: Monitor | None = None) -> tuple[Monitor, list[Verdict]]:
+def check_ticks(*ticks: TickInput, monitor: Monitor | None = None) -> tuple[Monitor, list[Verdict]]:
     """Check ticks one after the other."""
-    monitor = monitor or rested()
+    monitor = monitor or rested_monitor()
     return monitor, [monitor.judge(show(monitor, shown), shown.reports) for shown in ticks]
 
 
-def alone(
-    id_: str, *ticks: Shown, monitor: Monitor | None = None
+def check_fault_alone(
+    id_: str, *ticks: TickInput, monitor: Monitor | None = None
 ) -> tuple[Monitor, list[Action], list[tuple[str, str]]]:
     """Check ticks. Return the action of one fault in each tick, and the tick from which it counts."""
-    monitor, actions, told = monitor or rested(), [], []
+    monitor, actions, told = monitor or rested_monitor(), [], []
     for shown in ticks:
         verdict = monitor.judge(show(monitor, shown), shown.reports)
         found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
@@ -61,7 +61,7 @@ def test_every_row_has_a_case_and_is_there_once() -> None:
 
 
 def test_hand_without_disturbance_has_no_fault() -> None:
-    monitor, verdicts = course(*[REST] * 50)
+    monitor, verdicts = check_ticks(*[REST] * 50)
     assert (monitor.latched, monitor.counting) == ((), ())
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
     assert not any(verdict.findings for verdict in verdicts)
@@ -70,16 +70,16 @@ def test_hand_without_disturbance_has_no_fault() -> None:
 @pytest.mark.parametrize("id_", CASES)
 def test_a_fault_counts_after_its_ticks_and_is_reported_once(id_: str) -> None:
     case = CASES[id_]
-    _, actions, told = alone(id_, *[case.present] * (case.debounce - 1))
+    _, actions, told = check_fault_alone(id_, *[case.present] * (case.debounce - 1))
     assert (actions, told) == ([Action.PASS] * (case.debounce - 1), [])
-    _, actions, told = alone(id_, *[case.present] * (case.debounce + 5))
+    _, actions, told = check_fault_alone(id_, *[case.present] * (case.debounce + 5))
     assert actions == [Action.PASS] * (case.debounce - 1) + [case.action] * 6
     assert told == [(id_, case.instance)]
 
 
 @pytest.mark.parametrize("id_", CASES)
 def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
-    _, actions, told = alone(id_, *[CASES[id_].almost] * 100)
+    _, actions, told = check_fault_alone(id_, *[CASES[id_].almost] * 100)
     assert set(actions) == {Action.PASS}
     assert not told
 
@@ -87,7 +87,7 @@ def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
 @pytest.mark.parametrize("id_", OTHER_SIGNS)
 def test_every_sign_of_a_fault_is_detected(id_: str) -> None:
     for shown in OTHER_SIGNS[id_]:
-        _, actions, _ = alone(id_, *[shown] * CASES[id_].debounce)
+        _, actions, _ = check_fault_alone(id_, *[shown] * CASES[id_].debounce)
         assert actions[-1] == CASES[id_].action
 
 
@@ -97,21 +97,21 @@ def test_interrupted_fault_counts_from_zero(id_: str) -> None:
     if case.debounce == 1:
         return
     almost = [case.present] * (case.debounce - 1)
-    _, actions, _ = alone(id_, *almost, REST, *almost, REST)
+    _, actions, _ = check_fault_alone(id_, *almost, REST, *almost, REST)
     assert set(actions) == {Action.PASS}
 
 
 @pytest.mark.parametrize("id_", CASES)
 def test_latched_fault_stays_until_cleared(id_: str) -> None:
     case = CASES[id_]
-    monitor, _, _ = alone(id_, *[case.present] * case.debounce)
-    _, actions, told = alone(id_, *[REST] * 100, monitor=monitor)
+    monitor, _, _ = check_fault_alone(id_, *[case.present] * case.debounce)
+    _, actions, told = check_fault_alone(id_, *[REST] * 100, monitor=monitor)
     assert set(actions) == {case.action if case.latched else Action.PASS}
     assert not told
     monitor.clear()
-    _, actions, _ = alone(id_, REST, monitor=monitor)
+    _, actions, _ = check_fault_alone(id_, REST, monitor=monitor)
     assert actions == [Action.PASS]
-    _, actions, told = alone(id_, *[case.present] * case.debounce, monitor=monitor)
+    _, actions, told = check_fault_alone(id_, *[case.present] * case.debounce, monitor=monitor)
     assert actions[-1] == case.action, "it can come again"
     assert [name for name, _ in told] == [id_], "and is told again"
 
@@ -119,24 +119,24 @@ def test_latched_fault_stays_until_cleared(id_: str) -> None:
 @pytest.mark.parametrize("id_", [id_ for id_, case in CASES.items() if case.latched])
 def test_clearing_a_present_fault_has_no_effect(id_: str) -> None:
     case = CASES[id_]
-    monitor, _, _ = alone(id_, *[case.present] * (case.debounce + 3))
+    monitor, _, _ = check_fault_alone(id_, *[case.present] * (case.debounce + 3))
     monitor.clear()
-    _, actions, _ = alone(id_, case.present, monitor=monitor)
+    _, actions, _ = check_fault_alone(id_, case.present, monitor=monitor)
     assert actions == [case.action]
-    _, actions, _ = alone(id_, REST, monitor=monitor)
+    _, actions, _ = check_fault_alone(id_, REST, monitor=monitor)
     assert actions == [case.action], "it has latched again"
 
 
 @pytest.mark.parametrize("id_", CASES)
 def test_a_silent_drive_is_no_fault_while_torque_is_off(id_: str) -> None:
     case = CASES[id_]
-    _, actions, _ = alone(id_, *[without_torque(case.present)] * (case.debounce + 1))
+    _, actions, _ = check_fault_alone(id_, *[without_torque(case.present)] * (case.debounce + 1))
     assert actions[-1] == (Action.PASS if case.asleep else case.action)
 
 
 def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
     nan = {f"t{i}": math.nan for i in range(len(LIMITS.tendons))}
-    _, verdicts = course(*[merged(tensions(**nan), heat(**nan))] * 30)
+    _, verdicts = check_ticks(*[merge_inputs(tensions(**nan), heat(**nan))] * 30)
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
 
 
@@ -175,7 +175,7 @@ def test_a_fault_is_either_found_or_reported() -> None:
         assert bool(fault.per) != bool(fault.reports), fault.id
         assert [kind for one, kind in DETECTOR_ROWS if one is fault] == list(fault.per)
         assert fault.name or "hand" not in fault.per
-    assert len(DETECTOR_ROWS) <= len(rested().view("fault_ticks")), "there is room for how long each is present"
+    assert len(DETECTOR_ROWS) <= len(rested_monitor().view("fault_ticks")), "there is room for how long each is present"
     assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE.tolist()
     assert [fault.action for fault, _ in DETECTOR_ROWS] == ACTIONS.tolist()
     assert {fault.id for ones in REPORTS.values() for fault in ones} == {f.id for f in TABLE if f.reports}
@@ -190,14 +190,14 @@ def test_times_as_ticks(seconds: float, period: float, least: int, ticks: int) -
 
 def trace(id_: str) -> list[tuple[Action, int]]:
     """Return actions and number of findings of one fault over its onset and end, debounced by interpreted code."""
-    case, monitor, seen = CASES[id_], rested(), []
+    case, monitor, seen = CASES[id_], rested_monitor(), []
     kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_}
     for shown in [case.almost, *[case.present] * (case.debounce + 1), REST]:
         rows, before = show(monitor, shown), monitor.view("fault_ticks").copy()
         monitor.tick(rows)
         monitor.set({"fault_ticks": before})
         monitor.found[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = math.nan
-        demanded = interpreted(compiled_judge.debounce_faults, monitor.state_tables, monitor.found)
+        demanded = call_interpreted(compiled_judge.debounce_faults, monitor.state_tables, monitor.found)
         reports = shown.reports if judgement.BY_ID[id_].reports else ()
         verdict = monitor.conclude(demanded, reports)
         seen.append((verdict.action, len(verdict.findings)))
@@ -205,7 +205,7 @@ def trace(id_: str) -> list[tuple[Action, int]]:
 
 
 @pytest.fixture
-def declared(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """Declare a fault with changed properties."""
 
     def declare(other: Fault) -> None:
@@ -226,19 +226,19 @@ def declared(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 
 @pytest.mark.parametrize("id_", CASES)
-def test_a_changed_row_would_be_noticed(id_: str, declared) -> None:
+def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
     """Change each number and word of a row by one step: the result differs, so the cases can fail."""
     fault = BY_ID[id_]
     other = ITSELF if fault.latched else OPERATOR
     changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]
     changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
     changed += [replace(fault, action=Action(fault.action + step)) for step in (-1, 1) if 0 <= fault.action + step <= 4]
-    declared(fault)
+    declare_changed(fault)
     right = trace(id_)
     for mutant in changed:
         if (mutant.action, mutant.latched) == (Action.PASS, True) or fault.action == mutant.action == Action.PASS:
             continue  # a latched PASS is no action
-        declared(mutant)
+        declare_changed(mutant)
         assert trace(id_) != right, mutant
 
 
@@ -254,7 +254,9 @@ THRESHOLDS = {
 def test_a_moved_threshold_would_be_noticed(id_: str, sign: int) -> None:
     name, step = next(iter(THRESHOLDS[id_].items()))
     moved: Limits = replace(LIMITS, **{name: getattr(LIMITS, name) + sign * step})
-    case, monitor = CASES[id_], rested()
+    case, monitor = CASES[id_], rested_monitor()
     monitor.follow(moved)
-    _, actions, _ = alone(id_, *[case.present if sign > 0 else case.almost] * case.debounce, monitor=monitor)
+    _, actions, _ = check_fault_alone(
+        id_, *[case.present if sign > 0 else case.almost] * case.debounce, monitor=monitor
+    )
     assert actions[-1] == (Action.PASS if sign > 0 else case.action)

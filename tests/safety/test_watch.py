@@ -19,16 +19,17 @@ from handctl.core.detectors.residuals import (
     TIME_CONSTANTS_S,
 )
 from handctl.core.types import Mode
-from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, interpreted, made_up
+from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, call_interpreted, synthetic_limits
 
 N = np.nan
 LIMITS = replace(
-    made_up(2), tendons=("a", "b"), motors=("ma", "mb"), joints=("ja", "jb"), tension_rail=240.0, drive_limit=(1e9, 1e9)
+    synthetic_limits(2), tendons=("a", "b"), motors=("ma", "mb"), joints=("ja", "jb"),
+    tension_rail=240.0, drive_limit=(1e9, 1e9),
 )  # fmt: skip
 Evidence = dict[str, dict[str, float]]
 
 
-def made(stiffness: float = 1e5, motor_period: Any = T, joint_period: float = T) -> Monitor:
+def make_monitor(stiffness: float = 1e5, motor_period: Any = T, joint_period: float = T) -> Monitor:
     """Return a monitor of two tendons with a stiffness [N/m] and sampling periods of motors and joints [s]."""
     arms = np.array([0.02, 0.01])
     monitor = Monitor(
@@ -44,25 +45,25 @@ NAMES = {"tension": "measured_tension", "travel": "measured_travel", "position":
          "read": "joints_read"}  # fmt: skip
 
 
-def seen(**given: Any) -> dict[str, Any]:
+def resting_tick(**given: Any) -> dict[str, Any]:
     """Return a tick of two tendons at rest under 20 N with some changes. A single number is for both tendons."""
     facts = {"tension": 20.0, "travel": 0.0, "position": 0.0, "speed": 0.0, "force": 20.0, "excursion": N, "joints": N,
              "read": False}  # fmt: skip
     return {NAMES[name]: value for name, value in (facts | given).items()}
 
 
-def wanting(monitor: Monitor | None = None, **given: Any) -> Monitor:
+def monitor_at_20_newton(monitor: Monitor | None = None, **given: Any) -> Monitor:
     """Return a hand at rest whose commanded and planned tensions are 20 N."""
-    monitor = monitor or made()
+    monitor = monitor or make_monitor()
     monitor.set({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | given)
     return monitor
 
 
 def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Monitor, Evidence]:
     """Return the same tick several times. Values that are functions get the number of the tick."""
-    monitor, found = monitor or wanting(), {}
+    monitor, found = monitor or monitor_at_20_newton(), {}
     for k in range(number):
-        found = monitor.tick(seen(**{name: v(k) if callable(v) else v for name, v in given.items()}))
+        found = monitor.tick(resting_tick(**{name: v(k) if callable(v) else v for name, v in given.items()}))
     return monitor, found
 
 
@@ -75,14 +76,14 @@ def test_at_rest_nothing_is_reported():
 
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
     """Filters start at the present values. Tension and force have not moved, so no reading needs to move."""
-    _, found = ticks(200, wanting(wanted=N, followed=N, asked=N))
+    _, found = ticks(200, monitor_at_20_newton(wanted=N, followed=N, asked=N))
     assert found == {}
 
 
 def test_without_torque_everything_but_the_counts_begins_anew():
     monitor, _ = ticks(10)
     monitor.set({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
-    assert monitor.tick(seen(), mode=int(Mode.READY)) == {}
+    assert monitor.tick(resting_tick(), mode=int(Mode.READY)) == {}
     for field in STATE.fields:
         first, end = {
             "tendon": (s.TENDON_FIRST, s.TENDON_END), "tendon_int": (s.TENDON_INT_FIRST, s.TENDON_INT_END),
@@ -102,8 +103,8 @@ def test_after_the_cut_a_tendon_that_does_not_let_go_is_reported():
     monitor = ticks(3)[0]
     monitor.set({"mode": int(Mode.CUT)})
     for _ in range(50):
-        assert "N16" not in monitor.tick(seen(tension=[30.0, 8.0]))
-    assert monitor.tick(seen(tension=[30.0, 8.0]))["N16"] == {"a": 30.0}
+        assert "N16" not in monitor.tick(resting_tick(tension=[30.0, 8.0]))
+    assert monitor.tick(resting_tick(tension=[30.0, 8.0]))["N16"] == {"a": 30.0}
     assert monitor.get("cut_from") == [30.0, 8.0]
 
 
@@ -112,13 +113,15 @@ def test_a_tendon_that_does_not_let_go_is_reported_though_its_sample_was_lost_at
     ticks(2, monitor, tension=N)
     monitor.set({"mode": int(Mode.CUT)})
     for k in range(51):
-        found = monitor.tick(seen(tension=[30.0, 8.0] if k else N))
+        found = monitor.tick(resting_tick(tension=[30.0, 8.0] if k else N))
     assert found["N16"] == {"a": 30.0}
     assert monitor.get("cut_from") == [30.0, 25.0]
 
 
 def unexplained(monitor: Monitor) -> list[float]:
-    return [interpreted(residuals.unexplained_tension, monitor.state_tables, monitor.hand_tables, n) for n in (0, 1)]
+    return [
+        call_interpreted(residuals.unexplained_tension, monitor.state_tables, monitor.hand_tables, n) for n in (0, 1)
+    ]
 
 
 @pytest.mark.parametrize(("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)])
@@ -142,7 +145,7 @@ def test_friction_above_the_hand_file_is_a_fault(rub, told):
     monitor = ticks(30)[0]
     monitor.set({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
     _, found = ticks(1, monitor, force=29.0, tension=29.0)
-    grown = [interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)]
+    grown = [call_interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)]
     assert grown == pytest.approx([rub - 2.9] * 2, abs=0.01)
     assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if told else {})
 
@@ -200,67 +203,67 @@ EVERY = 4
 """Joints are read in every fourth tick, where a bus has no room for more."""
 
 
-def sparse(number: int, monitor: Monitor, **given: Any) -> list[Evidence]:
+def run_sparse_joints(number: int, monitor: Monitor, **given: Any) -> list[Evidence]:
     """Return the ticks of a hand whose joints are read in every fourth tick, and all reports."""
     told = []
     for k in range(number):
         read = {"read": True} | given if k % EVERY == 0 else {n: v for n, v in given.items() if n == "travel"}
-        told.append(monitor.tick(seen(**read)))
+        told.append(monitor.tick(resting_tick(**read)))
     return told
 
 
 def test_a_tendon_that_left_its_pulley_shows_in_three_readings_however_seldom_joints_are_read():
-    monitor = wanting(made(joint_period=EVERY * T))
-    sparse(100, monitor, excursion=0.0, joints=0.0)
+    monitor = monitor_at_20_newton(make_monitor(joint_period=EVERY * T))
+    run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
-    told = sparse(9, monitor, **off)
+    told = run_sparse_joints(9, monitor, **off)
     assert [k for k, found in enumerate(told) if "T08" in found] == [8]
     assert told[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
-    told = sparse(8, monitor, **off)
+    told = run_sparse_joints(8, monitor, **off)
     assert [k for k, found in enumerate(told) if "T08" in found] == [0, 4], "in ticks in which joints are read"
 
 
 def test_good_reading_restarts_the_count_of_derailed_readings():
-    monitor = wanting(made(joint_period=EVERY * T))
-    sparse(100, monitor, excursion=0.0, joints=0.0)
+    monitor = monitor_at_20_newton(make_monitor(joint_period=EVERY * T))
+    run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
-    assert not any("T08" in found for found in sparse(8, monitor, **off))
-    sparse(4, monitor, excursion=0.0, joints=0.0)
-    assert not any("T08" in found for found in sparse(8, monitor, **off))
+    assert not any("T08" in found for found in run_sparse_joints(8, monitor, **off))
+    run_sparse_joints(4, monitor, excursion=0.0, joints=0.0)
+    assert not any("T08" in found for found in run_sparse_joints(8, monitor, **off))
 
 
 def test_joint_against_spool_is_filtered_over_the_same_time_however_seldom_joints_are_read():
     """3 deg of 3.5 are reached after 0.3 s ln 7 = 0.58 s."""
     for every in (1, EVERY):
-        monitor = wanting(made(joint_period=every * T))
+        monitor = monitor_at_20_newton(make_monitor(joint_period=every * T))
         ticks(100, monitor, excursion=0.0, read=True)
         begun = None
         for k in range(400):
             read = {"excursion": [-0.02 * np.radians(3.5), 0.0], "read": True} if k % every == 0 else {}
-            found = monitor.tick(seen(**read))
+            found = monitor.tick(resting_tick(**read))
             begun = k * T if begun is None and "N06a" in found else begun
         assert begun == pytest.approx(0.584, abs=0.01)
 
 
 def test_a_joint_or_a_motor_that_stands_is_reported_after_the_same_time_however_seldom_it_is_read():
-    monitor = wanting(made(motor_period=(EVERY * T, T), joint_period=EVERY * T))
-    sparse(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
-    sparse(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
-    told = sparse(56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3)
+    monitor = monitor_at_20_newton(make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T))
+    run_sparse_joints(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
+    run_sparse_joints(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
+    told = run_sparse_joints(56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3)
     joint = [k for k, found in enumerate(told) if "ja" in found.get("N04", {})]
     assert joint[0] == 48, "100 ms are 12.5 readings after one"
-    monitor = just_moved(made(motor_period=(EVERY * T, T), joint_period=EVERY * T))
+    monitor = monitor_after_motion(make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T))
     monitor.set({"followed": [0.51e-3, 0.0]})
     first = None
     for k in range(60):
-        found = monitor.tick(seen(travel=1e-5 if k % EVERY == 0 else [N, 1e-5]))
+        found = monitor.tick(resting_tick(travel=1e-5 if k % EVERY == 0 else [N, 1e-5]))
         first = k if first is None and "N04" in found else first
     assert first == 48
 
 
-def just_moved(monitor: Monitor | None = None, **given: Any) -> Monitor:
+def monitor_after_motion(monitor: Monitor | None = None, **given: Any) -> Monitor:
     """Return a hand whose filters have settled and whose motors moved in the last tick."""
-    return ticks(1, ticks(150, wanting(monitor), **given)[0], **{"travel": 1e-5} | given)[0]
+    return ticks(1, ticks(150, monitor_at_20_newton(monitor), **given)[0], **{"travel": 1e-5} | given)[0]
 
 
 @pytest.mark.parametrize(("number", "goal", "told"), [
@@ -268,7 +271,7 @@ def just_moved(monitor: Monitor | None = None, **given: Any) -> Monitor:
     (60, 0.49e-3, False), (60, -0.51e-3, True),
 ])  # fmt: skip
 def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, told):
-    monitor = just_moved()
+    monitor = monitor_after_motion()
     monitor.set({"followed": [goal, 0.0]})
     _, found = ticks(number, monitor, travel=1e-5)
     assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if told else {})
@@ -276,14 +279,14 @@ def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, told
 
 def test_a_motor_reading_that_stands_while_the_tension_moves_is_stuck():
     for tension, told in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
-        _, found = ticks(200, just_moved(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension])
+        _, found = ticks(200, monitor_after_motion(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension])
         assert list(found.get("N04", {})) == told
 
 
 def test_constant_joint_reading_is_stuck_while_the_spool_turns():
     for angle, told in ((9.9, []), (10.1, ["ja"])):
         joints = {"excursion": 0.0, "read": True}
-        monitor = just_moved(joints=0.2, **joints)
+        monitor = monitor_after_motion(joints=0.2, **joints)
         ticks(1, monitor, travel=1e-5, joints=0.3, **joints)
         travel = [1e-5 + np.radians(angle) / 50.0, 1e-5]
         _, found = ticks(55, monitor, travel=travel, joints=0.3, **joints)
@@ -343,7 +346,7 @@ def test_an_even_motion_is_no_noise_and_no_force_because_ticks_were_skipped(late
         monitor, at, speed, noisy = ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
         for k in range(20):
             at, speed = (at + 0.25, 0.14) if k == 10 + late else (at + 0.05, speed)
-            rows = seen(position=at, speed=speed, force=23.0 + 40.0 * speed)
+            rows = resting_tick(position=at, speed=speed, force=23.0 + 40.0 * speed)
             noisy |= "N07" in monitor.tick(rows, missed=missed if k == 10 else 0)
         return noisy, monitor.view("residual")[BALANCE]
 
@@ -355,7 +358,9 @@ def test_an_even_motion_is_no_noise_and_no_force_because_ticks_were_skipped(late
     assert np.abs(balance).max() > 0.5
 
 
-def screened(monitor: Monitor, motors: list[float], joints: list[float] | None, missed: int = 0) -> tuple[Any, Any]:
+def screen_positions(
+    monitor: Monitor, motors: list[float], joints: list[float] | None, missed: int = 0
+) -> tuple[Any, Any]:
     """Process positions, with joints None if none was read. Return the size of each jump."""
     read = {"joint_fresh": joints is not None, "joint_angle": joints or 0.0}
     monitor.observe({"answered": 1, "position": motors, "missed": missed, **read})
@@ -363,10 +368,10 @@ def screened(monitor: Monitor, motors: list[float], joints: list[float] | None, 
 
 
 def test_positions_are_screened_apart():
-    monitor = made()
-    assert screened(monitor, [0.0, 0.0], [0.0, 0.0]) == ([0.0, 0.0], [0.0, 0.0])
-    assert screened(monitor, [0.11, 0.19], [0.29, 0.41]) == ([0.11, 0.0], [0.0, 0.41])
-    assert screened(monitor, [0.05, 0.19], None) == ([0.0, 0.0], [0.0, 0.0])
+    monitor = make_monitor()
+    assert screen_positions(monitor, [0.0, 0.0], [0.0, 0.0]) == ([0.0, 0.0], [0.0, 0.0])
+    assert screen_positions(monitor, [0.11, 0.19], [0.29, 0.41]) == ([0.11, 0.0], [0.0, 0.41])
+    assert screen_positions(monitor, [0.05, 0.19], None) == ([0.0, 0.0], [0.0, 0.0])
     assert monitor.get("joint_gap") == [1.0, 2.0]
     assert monitor.get("accepted") == [0.05, 0.19]
     assert monitor.get("dropped") == [0.0, 0.0]
@@ -375,18 +380,18 @@ def test_positions_are_screened_apart():
 
 def test_after_missed_ticks_motors_and_joints_may_have_gone_so_much_further():
     def begun() -> Monitor:
-        monitor = made()
-        screened(monitor, [0.0, 0.0], [0.0, 0.0])
+        monitor = make_monitor()
+        screen_positions(monitor, [0.0, 0.0], [0.0, 0.0])
         return monitor
 
     motor, joint = [0.29, 0.61], [0.91, 1.19]
-    assert screened(begun(), motor, joint) == (motor, joint)
+    assert screen_positions(begun(), motor, joint) == (motor, joint)
     monitor = begun()
-    jumped, twisted = screened(monitor, motor, joint, 2)
+    jumped, twisted = screen_positions(monitor, motor, joint, 2)
     assert jumped == [0.0, 0.61], "three times 0.1 and 0.2"
     assert twisted == [0.91, 0.0], "three times 0.3 and 0.4"
     monitor = begun()
-    screened(monitor, motor, None, 2)
+    screen_positions(monitor, motor, None, 2)
     assert monitor.get("joint_gap") == [3.0, 3.0]
 
 
@@ -397,7 +402,7 @@ def late(**ages: int) -> dict[str, Any]:
 
 
 def test_where_nothing_is_lost_nothing_is_counted():
-    monitor = made()
+    monitor = make_monitor()
     assert monitor.tick() == {}
     assert not monitor.view("lost").any()
 
@@ -407,13 +412,13 @@ def test_where_nothing_is_lost_nothing_is_counted():
     (late(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]), (late(ma=1, mb=1) | {"mode": int(Mode.READY)}, [0, 0, 0]),
 ])  # fmt: skip
 def test_lost_replies_are_recorded_per_node(rows, lost):
-    monitor = made()
+    monitor = make_monitor()
     monitor.tick(rows)
     assert monitor.get("lost") == [lost, [0, 0, 0]]
 
 
 def test_malformed_frames_are_reported_with_sender_and_recent_count():
-    monitor = made()
+    monitor = make_monitor()
     for k in range(3):
         found = monitor.tick(misread_now=[1, k == 0, 0])
     assert found["B09"] == {"ma": 3.0}
@@ -421,14 +426,14 @@ def test_malformed_frames_are_reported_with_sender_and_recent_count():
 
 
 def test_a_node_that_answers_every_second_tick():
-    monitor = made()
+    monitor = make_monitor()
     for k in range(20):
         found = monitor.tick(late(mb=k % 2))
         assert list(found.get("N15", {})) == (["mb"] if k >= 13 else []), k
 
 
 def test_count_of_unknown_frames_decays():
-    monitor = made()
+    monitor = make_monitor()
     monitor.tick(strange=5)
     assert monitor.view("unknown").item() == 5.0
     monitor.tick(strange=0)
@@ -436,7 +441,7 @@ def test_count_of_unknown_frames_decays():
 
 
 def test_refused_goals_are_reported_in_their_tick():
-    monitor = made()
+    monitor = make_monitor()
     assert monitor.tick(refused=2, refused_now=2)["I07a"] == {"goal": 2.0}
     assert monitor.tick(refused=3, refused_now=1)["I07b"] == {"goal": 3.0}
     assert not {"I07a", "I07b"} & set(monitor.tick(refused=3, refused_now=0))

@@ -11,8 +11,8 @@ from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.detectors.slip import DEG_PER_RAD, SETTLE_S
 from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
 from handctl.safety.faults.tendon import CELL_FORCE_N, CELL_TICKS, DERAILED_DEG, SLACK_N, TAUT_N
-from tests.safety.monitor import Monitor, T, interpreted
-from tests.safety.test_watch import made, seen
+from tests.safety.monitor import Monitor, T, call_interpreted
+from tests.safety.test_watch import make_monitor, resting_tick
 
 SOFT = 5e3
 """A tendon that stretches by four millimetres under 20 N [N/m]."""
@@ -23,15 +23,15 @@ READ = {"excursion": 0.0, "joints": 0.0, "read": True}
 @pytest.fixture
 def monitor() -> Monitor:
     """Return a monitor of two tendons whose filtered tension and force a test sets."""
-    monitor = made(SOFT)
+    monitor = make_monitor(SOFT)
     monitor.set_constants(residual_fraction=0.0)
     monitor.set({"filtered": 1, "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}})
     return monitor
 
 
 def turned(monitor: Monitor, **given: Any) -> list[float]:
-    monitor.set(seen(**given) | {"bears": 1})
-    return [interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j) for j in (0, 1)]
+    monitor.set(resting_tick(**given) | {"bears": 1})
+    return [call_interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j) for j in (0, 1)]
 
 
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None:
@@ -40,20 +40,20 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None
     wound = turned(monitor, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ)
     np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
     monitor.set({"bears": [0, 1]})
-    angle = interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, 0)
+    angle = call_interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, 0)
     assert math.isnan(angle), "it says nothing"
 
 
 @pytest.mark.parametrize(("tension", "taut"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),
                                                (TAUT_N + 1e-9, 1.0 + T)])  # fmt: skip
 def test_taut_time_stands_between_slack_and_taut(monitor: Monitor, tension: float, taut: float) -> None:
-    monitor.tick(seen(tension=tension, **READ), taut_s=1.0)
+    monitor.tick(resting_tick(tension=tension, **READ), taut_s=1.0)
     assert monitor.get("taut_s") == [taut, taut]
 
 
 def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(monitor: Monitor) -> None:
     for since, settled in ((SETTLE_S, False), (np.nextafter(SETTLE_S, 1.0), True)):
-        now = seen(**READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
+        now = resting_tick(**READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
         monitor.tick(now, taut_s=[float(since), 1.0], slip_from=0.0)
         begin, slipped = monitor.get("slip_from"), monitor.get("slip")
         assert np.isnan(begin[0]) != settled
@@ -61,11 +61,11 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(monitor:
         assert slipped[1] == pytest.approx((-2.2 / SOFT - 1e-3) / 0.01 * DEG_PER_RAD)
 
 
-def names(monitor: Monitor, before: int, value: float, away: dict[str, list[float]]) -> dict[str, list[str]]:
+def stuck_names(monitor: Monitor, before: int, value: float, away: dict[str, list[float]]) -> dict[str, list[str]]:
     """Return the stuck sensors after one more equal reading, with given motion of the correlated signals."""
     zero = [0.0, 0.0]
     found = monitor.tick(
-        seen(tension=value, **READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
+        resting_tick(tension=value, **READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
         motor_value=0.0, cell_value=value, joint_value=0.0, followed=away.get("goal", zero),
         motor_anchor=[zero, 20.0 - np.array(away.get("tension", zero))],
         cell_anchor=20.0 - np.array(away.get("pushed", zero)),
@@ -80,28 +80,28 @@ def names(monitor: Monitor, before: int, value: float, away: dict[str, list[floa
 
 def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(monitor: Monitor) -> None:
     long = int(STUCK_S / T)
-    assert not any(names(monitor, 9999, 20.0, {}).values())
+    assert not any(stuck_names(monitor, 9999, 20.0, {}).values())
     at = {"goal": [STUCK_GOAL_M, 0.0], "tension": [0.0, STUCK_TENSION_N], "pushed": [CELL_FORCE_N, 9.0],
           "turned": [STUCK_JOINT_DEG / DEG_PER_RAD * (1.0 - 1e-12), 0.1]}  # fmt: skip
-    assert names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
+    assert stuck_names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
     beyond = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
     told = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
-    assert names(monitor, long, 20.0, beyond) == told
-    assert names(monitor, long - 1, 20.0, beyond) == told | {"motor": [], "joint": []}
+    assert stuck_names(monitor, long, 20.0, beyond) == told
+    assert stuck_names(monitor, long - 1, 20.0, beyond) == told | {"motor": [], "joint": []}
 
 
 def test_a_cell_may_repeat_itself_one_tick_less_than_the_row_says(monitor: Monitor) -> None:
     pushed = {"pushed": [9.0, 9.0]}
-    assert names(monitor, CELL_TICKS - 1, 20.0, pushed)["cell"] == ["a", "b"]
-    assert names(monitor, CELL_TICKS - 2, 20.0, pushed)["cell"] == []
-    assert names(monitor, CELL_TICKS - 1, TAUT_N, pushed)["cell"] == [], "a slack tendon's cell may rest"
+    assert stuck_names(monitor, CELL_TICKS - 1, 20.0, pushed)["cell"] == ["a", "b"]
+    assert stuck_names(monitor, CELL_TICKS - 2, 20.0, pushed)["cell"] == []
+    assert stuck_names(monitor, CELL_TICKS - 1, TAUT_N, pushed)["cell"] == [], "a slack tendon's cell may rest"
 
 
 def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
-    monitor = made(SOFT)
+    monitor = make_monitor(SOFT)
     monitor.set({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
     for k in range(CELL_TICKS + 2):
-        found = monitor.tick(seen(force=20.0 if k == 0 else 60.0, tension=20.0))
+        found = monitor.tick(resting_tick(force=20.0 if k == 0 else 60.0, tension=20.0))
         assert ("T05" in found) == (monitor.get("cell_stuck")[0] >= CELL_TICKS), k
     assert monitor.get("cell_stuck")[0] > CELL_TICKS
 
@@ -110,7 +110,7 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(monitor: Monit
     """Run interpreted code, with excursions whose angle equals the limit to the last bit."""
 
     def counted(apart: float) -> tuple[float, float]:
-        monitor.set(seen(**READ | {"tension": 0.0, "excursion": -apart}))
+        monitor.set(resting_tick(**READ | {"tension": 0.0, "excursion": -apart}))
         monitor.set(
             {
                 "taut_s": 9.0,
@@ -120,7 +120,7 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(monitor: Monit
                 "measured_travel": TAUT_N / SOFT,
             }
         )
-        interpreted(slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
+        call_interpreted(slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
         return abs(monitor.get("slip")[0]), monitor.get("derailed")[0]
 
     apart = DERAILED_DEG / DEG_PER_RAD * 0.02

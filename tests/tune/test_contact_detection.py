@@ -27,7 +27,7 @@ def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
     return str(path)
 
 
-def touching(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, TendonResult]:
+def identify_touching_finger(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, TendonResult]:
     """Identify a middle finger that meets the thumb."""
     path = with_near_thumb(hand, thumb_mm, folder)
     found, row = excited(path, "middle", seed, {"spring": SPRING}, Gains(), folder)
@@ -47,7 +47,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
 ) -> None:
     """Springs of 1.41 and 1.73 instead of 1.2 were once kept without a message."""
-    found = touching(hand, thumb_mm, seed, tmp_path)
+    found = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
     for one in found.values():
         assert one.met or one.blocked
         assert not set(one.names) & set(SWEEP_PARAMETERS)
@@ -74,7 +74,7 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     assert one.fit.values["spring_stiffness"] == pytest.approx(plant(8)["spring"], rel=0.05)
 
 
-def line(seed: int, kink: float, begin: float = 0.3) -> Ramp | None:
+def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> Ramp | None:
     """Return the ramp that a straight line leaves unexplained, fitted to noise and a kink in two sweeps."""
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROWS)) * 0.6
@@ -85,7 +85,7 @@ def line(seed: int, kink: float, begin: float = 0.3) -> Ramp | None:
 
 
 def test_noise_has_no_kink() -> None:
-    scores = [abs(found.score) for seed in range(1000) if (found := line(seed, 0.0))]
+    scores = [abs(found.score) for seed in range(1000) if (found := unexplained_ramp_of_line(seed, 0.0))]
     assert max(scores) < KINK
     assert np.mean(np.array(scores) < CLEAR) > 0.97
 
@@ -93,13 +93,13 @@ def test_noise_has_no_kink() -> None:
 @pytest.mark.parametrize("begin", [0.1, 0.2, 0.3, 0.4])
 def test_a_kink_is_found_where_it_is(begin: float) -> None:
     for seed in range(20):
-        found = line(seed, 40.0, begin)
+        found = unexplained_ramp_of_line(seed, 40.0, begin)
         assert found
         assert found.met
         assert not found.clear
         assert found.begin == pytest.approx(begin, abs=0.06)
         assert found.rise == pytest.approx(40.0 * (0.6 - begin), rel=0.5)
-        support = line(seed, -40.0, begin)
+        support = unexplained_ramp_of_line(seed, -40.0, begin)
         assert support
         assert support.met
         assert support.rise < 0.0

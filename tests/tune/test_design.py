@@ -130,7 +130,7 @@ def test_an_ensemble_is_never_narrower_than_service_makes_it() -> None:
     assert mass.min() < 0.65
 
 
-def identified(stiffness: float, half: float) -> Identified:
+def identification_of_tendon(stiffness: float, half: float) -> Identified:
     """Return an identification of one tendon."""
     return Identified(
         names=("tendon_stiffness", "delay"),
@@ -141,7 +141,9 @@ def identified(stiffness: float, half: float) -> Identified:
 
 
 def test_a_vague_identification_widens_the_ensemble_to_the_ends_of_its_intervals() -> None:
-    spread = ensemble_widths({"index_tendon": identified(5e4, 1.5e4), "thumb_tendon": identified(5e4, 2e4)})
+    spread = ensemble_widths(
+        {"index_tendon": identification_of_tendon(5e4, 1.5e4), "thumb_tendon": identification_of_tendon(5e4, 2e4)}
+    )
     assert spread == {"stiffness": pytest.approx(0.4)}
     drawn = [one["stiffness"] for one in draw_ensemble(65, 0, spread)]
     assert min(drawn) < 0.62

@@ -110,7 +110,7 @@ def test_interrupted_search_gives_the_same_result(plan: SearchPlan, found: Searc
     assert seen == [1, 2, 3]
 
 
-class FormulaWorkers:
+class FakeWorkers:
     """Workers whose scores follow from the gains without a simulation."""
 
     def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -124,32 +124,32 @@ class FormulaWorkers:
 
 
 @pytest.fixture(scope="module")
-def long(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> tuple[SearchPlan, SearchResult, bytes]:
+def long_search(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> tuple[SearchPlan, SearchResult, bytes]:
     """Return a search beyond the random batches, its result and its journal."""
     longer = replace(plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),))
     path = tmp_path_factory.mktemp("study") / "whole"
-    return longer, run_search(longer, path, FormulaWorkers(), _nothing), path.read_bytes()
+    return longer, run_search(longer, path, FakeWorkers(), _nothing), path.read_bytes()
 
 
 @pytest.mark.parametrize("fraction", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
 def test_search_resumes_from_a_truncated_journal(
-    long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
+    long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
 ) -> None:
     """Cut the journal also while a batch is being asked, and in the middle of a line."""
-    longer, found, journal = long
+    longer, found, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
     line_count = int(fraction * len(lines))
     path.write_bytes(b"".join(lines[:line_count]) + lines[line_count][:40])
-    assert run_search(longer, path, FormulaWorkers(), _nothing) == found
-    assert run_search(longer, path, FormulaWorkers(), _nothing) == found
+    assert run_search(longer, path, FakeWorkers(), _nothing) == found
+    assert run_search(longer, path, FakeWorkers(), _nothing) == found
 
 
 def test_a_search_that_is_made_longer_is_that_of_one_run(
-    long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path
+    long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path
 ) -> None:
-    longer, found, _ = long
-    assert len(run_search(replace(longer, trials=10), tmp_path / "study", FormulaWorkers(), _nothing).trials) == 10
-    assert run_search(longer, tmp_path / "study", FormulaWorkers(), _nothing) == found
+    longer, found, _ = long_search
+    assert len(run_search(replace(longer, trials=10), tmp_path / "study", FakeWorkers(), _nothing).trials) == 10
+    assert run_search(longer, tmp_path / "study", FakeWorkers(), _nothing) == found
 
 
 @pytest.mark.parametrize(
@@ -163,14 +163,14 @@ def test_a_search_that_is_made_longer_is_that_of_one_run(
     ],
 )
 def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
-    long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, was: bytes, now: bytes
+    long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, was: bytes, now: bytes
 ) -> None:
-    longer, _, journal = long
+    longer, _, journal = long_search
     damaged = journal.replace(was, now)
     assert damaged != journal
     (tmp_path / "study").write_bytes(damaged)
     with pytest.raises(ConfigError, match="cannot be used"):
-        run_search(longer, tmp_path / "study", FormulaWorkers(), _nothing)
+        run_search(longer, tmp_path / "study", FakeWorkers(), _nothing)
     assert (tmp_path / "study").read_bytes().startswith(damaged)
 
 

@@ -14,7 +14,7 @@ from handctl.view.scene.topic_converters import TopicConverters
 from handctl.view.tail import Tail
 
 
-def grown(whole: bytes, seed: int) -> list[int]:
+def grow_file(whole: bytes, seed: int) -> list[int]:
     """Return the sizes at which the log is read: first its header, then random sizes."""
     source = random.Random(seed)
     first = 64 << 10
@@ -26,7 +26,7 @@ def test_the_parts_together_are_the_whole(seed: int, jamia_path: Path, tmp_path:
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
     run = run_info_of(jamia_path)
     converters, tail, chunks, times = TopicConverters(run), Tail(path), list[Chunk](), 0
-    for size in grown(whole, seed):
+    for size in grow_file(whole, seed):
         path.write_bytes(whole[:size])
         assert not (tail.ended and size < 0.9 * len(whole))
         since = tail.write_new(part)

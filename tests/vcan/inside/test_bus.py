@@ -33,7 +33,7 @@ def peer() -> Iterator[Bus]:
     opened.close()
 
 
-def drained(bus: Bus, count: int) -> list[Frame]:
+def drain_bus(bus: Bus, count: int) -> list[Frame]:
     """Return at least this many frames, or all that came in time."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while len(frames) < count and time.monotonic() < end:
@@ -55,7 +55,7 @@ def test_a_batch_of_both_kinds_arrives_whole_and_in_order(bus: Bus, peer: Bus) -
     fd = [Frame(n | EXTENDED, bytes([n]) * 48, FDF | BRS, INDEX) for n in range(50)]
     batch = [frame for pair in zip(classical, fd, strict=True) for frame in pair]
     assert bus.send(batch) == len(batch)
-    received = drained(peer, len(batch))
+    received = drain_bus(peer, len(batch))
     assert contents(received) == contents(batch)
     assert {frame.bus for frame in received} == {INDEX}
     assert peer.take_events() == []
@@ -64,8 +64,8 @@ def test_a_batch_of_both_kinds_arrives_whole_and_in_order(bus: Bus, peer: Bus) -
 def test_a_sender_does_not_receive_its_frames(bus: Bus, peer: Bus) -> None:
     bus.send([Frame(1, b"mine", bus=INDEX)])
     peer.send([Frame(2, b"yours", bus=INDEX)])
-    assert [frame.can_id for frame in drained(peer, 1)] == [1]
-    assert [frame.can_id for frame in drained(bus, 1)] == [2]
+    assert [frame.can_id for frame in drain_bus(peer, 1)] == [1]
+    assert [frame.can_id for frame in drain_bus(bus, 1)] == [2]
 
 
 def test_stamps_are_times_of_reception(bus: Bus, peer: Bus) -> None:
@@ -75,7 +75,7 @@ def test_stamps_are_times_of_reception(bus: Bus, peer: Bus) -> None:
     time.sleep(0.2)
     bus.send([Frame(2, b"", bus=INDEX)])
     time.sleep(0.2)
-    first, second = drained(peer, 2)
+    first, second = drain_bus(peer, 2)
     slack = 100_000_000
     assert before - slack <= first.t_ns <= first_sent + slack
     assert second.t_ns - first.t_ns >= 150_000_000
@@ -94,7 +94,7 @@ def test_a_link_that_goes_down_is_an_event_and_may_come_back(bus: Bus, peer: Bus
     peer.drain()
     bus.take_events()
     assert bus.send([Frame(2, b"back", bus=INDEX)]) == 1
-    assert contents(drained(peer, 1)) == [(2, b"back", 0)]
+    assert contents(drain_bus(peer, 1)) == [(2, b"back", 0)]
     assert bus.take_events() == []
 
 
@@ -108,7 +108,7 @@ def test_every_frame_that_was_not_read_in_time_is_counted(peer: Bus) -> None:
         while frames := peer.drain():
             received += len(frames)
         flood.send(CLASSICAL.pack(0x7FF, 0, b""))  # the kernel tells its count with the next frame that fits
-        received += len(drained(peer, 1))
+        received += len(drain_bus(peer, 1))
     dropped = sum(number for kind, _, number in peer.take_events() if kind == "dropped")
     assert 0 < received < sent
     assert received + dropped == sent
@@ -145,7 +145,7 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow: tuple[str, str]) ->
     accepted = sender.send(batch)
     assert 1 <= accepted < len(batch)
     assert sender.take_events() == [("enobufs", f"socketcan:{slow[0]}", len(batch) - accepted)]
-    received = drained(receiver, accepted)
+    received = drain_bus(receiver, accepted)
     assert [frame.can_id for frame in received] == list(range(accepted)), "none of the refused goes out late"
     assert sender.send(batch[:1]) == 1, "there is room again"
     sender.close()
