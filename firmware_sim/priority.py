@@ -32,7 +32,7 @@ def take_priority() -> bool:
     return True
 
 
-def give_back_priority() -> None:
+def restore_priority() -> None:
     """Return to the ordinary scheduler."""
     if sys.platform.startswith("linux"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -53,18 +53,18 @@ class RealTimePriority:
     def __init__(
         self,
         take: Callable[[], bool] = take_priority,
-        give_back: Callable[[], None] = give_back_priority,
+        restore: Callable[[], None] = restore_priority,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start without priority.
 
         Args:
             take: takes the priority, returns True if granted.
-            give_back: gives the priority back.
+            restore: restores the ordinary priority.
             now_s: clock [s].
         """
         self._take = take
-        self._give_back = give_back
+        self._restore = restore
         self._now_s = now_s
         self.active = False
         self._not_before_s = -math.inf
@@ -83,7 +83,7 @@ class RealTimePriority:
         now_s = self._now_s()
         self._slips_s.append(now_s)
         if len(self._slips_s) == SEVERAL and now_s - self._slips_s[0] <= WITHIN_S:
-            self._give_back()
+            self._restore()
             self.active = False
             self._not_before_s = now_s + ORDINARY_S
             self._slips_s.clear()

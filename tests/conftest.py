@@ -49,7 +49,7 @@ if "HANDCTL_RUN_DIR" not in os.environ:
 
 ON_CLOCK = ("alone", "realtime and not alone")
 """Selections of `make realtime`, which contain tests on the real clock only."""
-CLOCK_MARKS = ("mark.realtime", "mark.alone")
+REAL_CLOCK_MARKERS = ("mark.realtime", "mark.alone")
 """Every file with tests on the real clock has one of these, except in the folder that marks all of its tests."""
 MARKED_FOLDER = Path(__file__).parent / "vcan"
 
@@ -57,7 +57,7 @@ MARKED_FOLDER = Path(__file__).parent / "vcan"
 def has_clock_tests(path: Path) -> bool:
     """Return True if a test file may have tests on the real clock."""
     text = path.read_text(encoding="utf-8")
-    return path.is_relative_to(MARKED_FOLDER) or any(mark in text for mark in CLOCK_MARKS)
+    return path.is_relative_to(MARKED_FOLDER) or any(mark in text for mark in REAL_CLOCK_MARKERS)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -155,7 +155,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.skip(reason="runs with HANDCTL_NIGHTLY=1 (make nightly)"))
     for path in {item.path for item in items if item.get_closest_marker("realtime")}:
         if not has_clock_tests(path):
-            raise pytest.UsageError(f"{path}: tests on the real clock, but none of {CLOCK_MARKS} in the source")
+            raise pytest.UsageError(f"{path}: tests on the real clock, but none of {REAL_CLOCK_MARKERS} in the source")
     slow = slow_tests(SLOW_S)
     if left_out := [item for item in items if item.nodeid in slow]:
         config.hook.pytest_deselected(items=left_out)

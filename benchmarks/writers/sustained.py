@@ -22,7 +22,7 @@ from handctl.drives.records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.runtime.clock import RealClock, give_back_priority, take_priority
+from handctl.runtime.clock import RealClock, restore_priority, take_priority
 from handctl.runtime.loop import Loop, LoopStats
 
 HAND = "jamia11"
@@ -85,7 +85,7 @@ def _apart(recorder: int) -> Iterator[bool]:
     try:
         yield take_priority().realtime
     finally:
-        give_back_priority()
+        restore_priority()
         if cores:
             os.sched_setaffinity(0, cores)
 

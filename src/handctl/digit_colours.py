@@ -2,16 +2,19 @@
 
 from collections.abc import Sequence
 
-NAMED = ("index", "middle", "ring", "thumb")
+DIGITS_WITH_COLOUR = ("index", "middle", "ring", "thumb")
 """Names of digits with a fixed colour. Their order is the order of the colours in each palette."""
 
 
 def colour_numbers(digit_names: Sequence[str]) -> tuple[int, ...]:
     """Return the number of each digit's colour in a palette.
 
-    The digits in NAMED have the first numbers. The other digits of the hand have the next numbers, in order. A hand
-    without digits in NAMED begins with the first number. A number may be larger than a palette.
+    The digits in DIGITS_WITH_COLOUR have the first numbers. The other digits of the hand have the next numbers, in
+    order. A hand without such digits begins with the first number. A number may be larger than a palette.
     """
-    others = [name for name in digit_names if name not in NAMED]
-    first = 0 if len(others) == len(digit_names) else len(NAMED)
-    return tuple(NAMED.index(name) if name in NAMED else first + others.index(name) for name in digit_names)
+    others = [name for name in digit_names if name not in DIGITS_WITH_COLOUR]
+    first = 0 if len(others) == len(digit_names) else len(DIGITS_WITH_COLOUR)
+    return tuple(
+        DIGITS_WITH_COLOUR.index(name) if name in DIGITS_WITH_COLOUR else first + others.index(name)
+        for name in digit_names
+    )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.model_file import read_model_file
-from handctl.cli.checks.config_import import read_described
+from handctl.cli.checks.config_import import read_hand_description
 from handctl.cli.main import main
 from handctl.cli.runs.other_protocol import hand_in_protocol
 from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, meshes_of
@@ -212,7 +212,7 @@ def test_meshes_of_a_package_are_taken_over(
     urdf = write_ros_package(place)
     assert main(["config", "init", "--yes", "--urdf", str(urdf), "--output", "mine.toml"]) == 0
     assert "mesh" not in capsys.readouterr().out
-    described, notes = read_described(urdf, "urdf", place)
+    described, notes = read_hand_description(urdf, "urdf", place)
     assert not notes
     assert described.palm_mesh
     assert described.palm_mesh.file == "ws/gripper/meshes/base.stl"

@@ -8,7 +8,12 @@ import pytest
 from tests import conftest
 
 ROOT = Path(__file__).parents[2]
-UNMARKED = "import pytest\nCLOCK = getattr(pytest.mark, 'realtime')\n@CLOCK\ndef test_run() -> None:\n    pass\n"
+TEST_WITH_HIDDEN_MARKER = """import pytest
+CLOCK = getattr(pytest.mark, "realtime")
+@CLOCK
+def test_run() -> None:
+    pass
+"""
 
 
 def test_the_stages_select_what_the_makefile_selects() -> None:
@@ -29,7 +34,7 @@ def test_all_files_that_the_guests_run_are_taken_in() -> None:
 
 def test_a_test_on_the_real_clock_that_would_be_left_out_is_an_error(pytester: pytest.Pytester) -> None:
     pytester.makeconftest("from tests.conftest import pytest_collection_modifyitems, pytest_ignore_collect")
-    pytester.makepyfile(test_one=UNMARKED)
+    pytester.makepyfile(test_one=TEST_WITH_HIDDEN_MARKER)
     result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-o", "markers=realtime\nalone\nnightly")
     assert "tests on the real clock, but none of" in result.stdout.str() + result.stderr.str()
     assert result.ret == pytest.ExitCode.USAGE_ERROR

@@ -134,13 +134,13 @@ class Granted:
         self.requests, self.active = self.requests + 1, True
         return True
 
-    def give_back(self) -> None:
+    def restore(self) -> None:
         self.active = False
 
 
 def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
     granted = Granted()
-    priority = RealTimePriority(granted.take, granted.give_back, lambda: granted.now_s)
+    priority = RealTimePriority(granted.take, granted.restore, lambda: granted.now_s)
     for _ in range(10):
         priority.note_slip()
     assert granted.requests == 0, "nobody has sent anything yet"

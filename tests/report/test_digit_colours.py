@@ -2,7 +2,7 @@
 
 import pytest
 
-from handctl.digit_colours import NAMED, colour_numbers
+from handctl.digit_colours import DIGITS_WITH_COLOUR, colour_numbers
 from handctl.hand.load import load_hand, packaged_hands
 
 
@@ -12,7 +12,11 @@ def test_a_digit_has_the_same_colour_on_every_hand(name: str) -> None:
     numbers = colour_numbers(digits)
     assert len(set(numbers)) == len(digits)
     assert max(numbers) < 6, "the palettes have six colours"
-    assert all(number == NAMED.index(digit) for digit, number in zip(digits, numbers, strict=True) if digit in NAMED)
+    assert all(
+        number == DIGITS_WITH_COLOUR.index(digit)
+        for digit, number in zip(digits, numbers, strict=True)
+        if digit in DIGITS_WITH_COLOUR
+    )
 
 
 def test_digits_with_other_names_have_the_colours_in_order() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.runtime import clock
-from handctl.runtime.clock import give_back_priority, take_priority
+from handctl.runtime.clock import restore_priority, take_priority
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="real-time scheduling is Linux's")
 
@@ -19,7 +19,7 @@ def policy() -> int:
 def test_priority_is_given_back() -> None:
     granted = take_priority()
     assert (policy() == os.SCHED_FIFO) == granted.realtime
-    give_back_priority()
+    restore_priority()
     assert policy() == os.SCHED_OTHER
 
 
@@ -44,7 +44,7 @@ def test_only_ticks_have_realtime_priority() -> None:
     assert policy() == os.SCHED_OTHER
     with clock.realtime_priority() as granted_now:
         seen.append(policy())
-    give_back_priority()
+    restore_priority()
     assert granted_now == granted.realtime
     assert seen == [os.SCHED_FIFO if granted_now else os.SCHED_OTHER]
     assert policy() == os.SCHED_OTHER

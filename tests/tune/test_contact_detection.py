@@ -8,7 +8,13 @@ import pytest
 from benchmarks.identify import detuned, excited, plant, truth
 from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
-from handctl.tune.identify.contact_detection import CLEAR, KINK, Ramp, are_joints_moving, steepest_ramp
+from handctl.tune.identify.contact_detection import (
+    CONTACT_SCORE,
+    NO_CONTACT_SCORE,
+    Ramp,
+    are_joints_moving,
+    steepest_ramp,
+)
 from handctl.tune.identify.identify import SWEEP_PARAMETERS, TendonResult
 from tests.conftest import NIGHTLY
 
@@ -86,8 +92,8 @@ def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> Ramp
 
 def test_noise_has_no_kink() -> None:
     scores = [abs(found.score) for seed in range(1000) if (found := unexplained_ramp_of_line(seed, 0.0))]
-    assert max(scores) < KINK
-    assert np.mean(np.array(scores) < CLEAR) > 0.97
+    assert max(scores) < CONTACT_SCORE
+    assert np.mean(np.array(scores) < NO_CONTACT_SCORE) > 0.97
 
 
 @pytest.mark.parametrize("begin", [0.1, 0.2, 0.3, 0.4])
@@ -111,12 +117,12 @@ def test_a_fit_without_a_sweep_tells_of_no_contact() -> None:
 
 
 def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:
-    good = Ramp(1.0, 0.3, 0.6, 0.1, 300, 0.0, 1.0, KINK)
+    good = Ramp(1.0, 0.3, 0.6, 0.1, 300, 0.0, 1.0, CONTACT_SCORE)
     assert good.clear
     assert not good.met
     for changes in ({"score": -3.1}, {"rows": 20}, {"outliers": 0.01}, {"square": 1.6}):
         assert not good._replace(**changes).clear
-    assert good._replace(score=-KINK).met
+    assert good._replace(score=-CONTACT_SCORE).met
 
 
 def test_a_digit_that_closes_farther_than_two_of_its_joints_moves_all_three() -> None:

@@ -21,7 +21,7 @@ FRAME_LOSS = 0.001
 """Probability that a frame is lost in the run without faults."""
 RUN_NS = 8_000_000_000
 """Longest run of the hand without faults [ns]."""
-GRASPED = "hold"
+LAST_PHASE = "hold"
 """Phase at the end of a successful run."""
 
 
@@ -170,7 +170,7 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
                 remaining_s -= simulation.period_ns * 1e-9
                 alarms += [event.text for event in out.events if event.name == "fault" and _is_hold_or_more(event)]
                 ended = out.mode == Mode.DONE or simulation.k * simulation.period_ns >= RUN_NS
-            if ended and len(alarms) == alarms_before and simulation.out and simulation.out.phase != GRASPED:
+            if ended and len(alarms) == alarms_before and simulation.out and simulation.out.phase != LAST_PHASE:
                 alarms.append(f"seed {seed} came to no grasp: {simulation.state.failure or simulation.out.phase}")
         seed += 1
     return alarms

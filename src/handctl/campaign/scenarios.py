@@ -24,8 +24,8 @@ MOTEUS = "moteus"
 ROBSTRIDE = "robstride"
 ALL_PROTOCOLS = GUARDED
 """Protocols that the matrix covers."""
-EVERYWHERE = (ARMING, FREE, GRASP)
-MOVING = (FREE, GRASP)
+ALL_STAGES = (ARMING, FREE, GRASP)
+MOVING_STAGES = (FREE, GRASP)
 """Stages in which the hand moves."""
 REPORT_DELAY_MS = {ODRIVE: 100.0}
 """Longest delay until a drive reports its state, by protocol [ms]."""
@@ -75,7 +75,7 @@ class MatrixRow(NamedTuple):
     ticks: int
     ms: float = 0.0
     rows: tuple[str, ...] = ()
-    stages: tuple[str, ...] = MOVING
+    stages: tuple[str, ...] = MOVING_STAGES
     protocols: tuple[str, ...] = ALL_PROTOCOLS
     extra_ms: dict[str, float] = {}  # noqa: RUF012 - read only
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
@@ -116,9 +116,9 @@ WARN = Action.WARN
 HOLD = Action.HOLD
 RELAX = Action.RELAX
 CUT = Action.CUT
-ONCE = (MIT, CIA402, MOTEUS, ROBSTRIDE)
+ONE_ANSWER = (MIT, CIA402, MOTEUS, ROBSTRIDE)
 """Protocols whose drives send exactly one answer per command."""
-CONFIRMED = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
+CONFIRMING = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
 """Protocols in which a host detects a deaf drive, and reads its temperature."""
 SHORT_IDS = (MIT, ODRIVE, CIA402)
 """Protocols whose drives answer with 11-bit identifiers."""
@@ -127,33 +127,33 @@ _EXCHANGED = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
 """Rows that may detect exchanged drives earlier than N17, in motion or at unequal tensions."""
 
 MATRIX: tuple[MatrixRow, ...] = (
-    MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, rows=("B01", "N02"), stages=EVERYWHERE),
-    MatrixRow("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), EVERYWHERE),
+    MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, rows=("B01", "N02"), stages=ALL_STAGES),
+    MatrixRow("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), ALL_STAGES),
     MatrixRow("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02"),
-        protocols=ONCE),
+        protocols=ONE_ANSWER),
     MatrixRow("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"),
         protocols=(ODRIVE,)),
     MatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
     MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, rows=("B04",)),
-    MatrixRow("B05", "duplicate node={node}", WARN, 2, rows=("B05", "N13", "B06"), protocols=ONCE),
+    MatrixRow("B05", "duplicate node={node}", WARN, 2, rows=("B05", "N13", "B06"), protocols=ONE_ANSWER),
     MatrixRow("B05", "duplicate node=sensors", WARN, 2, rows=("B05",)),
-    MatrixRow("B06", "twin node={node}", RELAX, 2, rows=("B06",), protocols=ONCE),
+    MatrixRow("B06", "twin node={node}", RELAX, 2, rows=("B06",), protocols=ONE_ANSWER),
     MatrixRow("B06", "twin node=sensors", RELAX, 2, rows=("B06",)),
     MatrixRow("B07", "reorder node=sensors", WARN, 2, rows=("B07",)),
     MatrixRow("B08", "shorten node={node}", RELAX, 4, rows=("B08", "B17")),
     MatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, rows=("B09",)),
     MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, rows=("B09",), protocols=SHORT_IDS),
-    MatrixRow("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), EVERYWHERE),
+    MatrixRow("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), ALL_STAGES),
     MatrixRow("B11", "flood bus={bus} size=100", RELAX, 3, rows=("B11",)),
     MatrixRow("B11", "flood bus={bus} size=101", CUT, 11, rows=("B11b", "B11a")),
-    MatrixRow("B12", HOST_PREFIX + "io bus_off", CUT, 1, rows=("B12",), stages=EVERYWHERE),
+    MatrixRow("B12", HOST_PREFIX + "io bus_off", CUT, 1, rows=("B12",), stages=ALL_STAGES),
     MatrixRow("B13", HOST_PREFIX + "io error_warning", WARN, 1, rows=("B13a",)),
     MatrixRow("B13", HOST_PREFIX + "io error_passive lasting", RELAX, 21, rows=("B13b",)),
-    MatrixRow("B14", HOST_PREFIX + "io enetdown", CUT, 1, rows=("B14",), stages=EVERYWHERE),
+    MatrixRow("B14", HOST_PREFIX + "io enetdown", CUT, 1, rows=("B14",), stages=ALL_STAGES),
     MatrixRow("B15", HOST_PREFIX + "io enobufs lasting", RELAX, 3, rows=("B15",)),
-    MatrixRow("B16", HOST_PREFIX + "io enodev", CUT, 1, rows=("B16",), stages=EVERYWHERE),
+    MatrixRow("B16", HOST_PREFIX + "io enodev", CUT, 1, rows=("B16",), stages=ALL_STAGES),
     MatrixRow("B17", "deaf node={node}", RELAX, 4, rows=("B17", "N08", "B02", "B03"),
-        protocols=CONFIRMED,
+        protocols=CONFIRMING,
         extra_ms={ODRIVE: 160.0}),
     MatrixRow("B17", "drop node={node}", RELAX, 4, rows=("B17",)),
     MatrixRow("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"),
@@ -161,25 +161,25 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"), stages=(ARMING,),
         protocols=(MIT, CIA402, ROBSTRIDE),
         extra_ticks=RESTART_TICKS),
-    MatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), EVERYWHERE),
-    MatrixRow("N02", "off node={node}", RELAX, 5, rows=("B17", "B02", "N01"), stages=EVERYWHERE),
+    MatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), ALL_STAGES),
+    MatrixRow("N02", "off node={node}", RELAX, 5, rows=("B17", "B02", "N01"), stages=ALL_STAGES),
     MatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06"), (FREE,)),
     MatrixRow("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE,)),
     MatrixRow("N05", "offset encoder={node} size={jump}", RELAX, 3, rows=("N05",)),
     MatrixRow("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
     MatrixRow("N07", "noise encoder={node} size={rough}", HOLD, 4, 60.0, ("N07", "N05")),
-    MatrixRow("N08", "watchdog node={node}", RELAX, 2, rows=("N08",), stages=EVERYWHERE,
+    MatrixRow("N08", "watchdog node={node}", RELAX, 2, rows=("N08",), stages=ALL_STAGES,
         protocols=(MIT, ODRIVE, CIA402, MOTEUS),
         extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N08", "watchdog node={node}", RELAX, 2, rows=("N08", "N01"), stages=EVERYWHERE,
+    MatrixRow("N08", "watchdog node={node}", RELAX, 2, rows=("N08", "N01"), stages=ALL_STAGES,
         protocols=(ROBSTRIDE,)),
-    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, rows=("N09b",), protocols=CONFIRMED,
+    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, rows=("N09b",), protocols=CONFIRMING,
         extra_ms={ODRIVE: 200.0}),
-    MatrixRow("N09", "hot node={node} size=80", WARN, 22, rows=("N09a",), protocols=CONFIRMED,
+    MatrixRow("N09", "hot node={node} size=80", WARN, 22, rows=("N09a",), protocols=CONFIRMING,
         extra_ms={ODRIVE: 200.0}),
-    MatrixRow("N10", "voltage node={node}", RELAX, 2, rows=("N10",), stages=EVERYWHERE,
+    MatrixRow("N10", "voltage node={node}", RELAX, 2, rows=("N10",), stages=ALL_STAGES,
         extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N11", "error node={node}", RELAX, 2, rows=("N11",), stages=EVERYWHERE,
+    MatrixRow("N11", "error node={node}", RELAX, 2, rows=("N11",), stages=ALL_STAGES,
         extra_ms=REPORT_DELAY_MS),
     MatrixRow("N11", "error node={node} size=3", CUT, 2, rows=("N11b",), protocols=(MIT,)),
     MatrixRow("N11", "error node={node} size=0xff01", CUT, 2, rows=("N11b",), protocols=(CIA402,)),
@@ -192,21 +192,21 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14"), protocols=(MOTEUS,)),
     # A restart before the first answer to the enable command looks like a lost command. Lost settings show it.
     MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING,), (MOTEUS,)),
-    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, rows=("B06", "N13"), protocols=ONCE),
-    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONCE),
+    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, rows=("B06", "N13"), protocols=ONE_ANSWER),
+    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONE_ANSWER),
     MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, rows=("N14", "T02", "T04"),
-        stages=(GRASP,), protocols=ONCE),
+        stages=(GRASP,), protocols=ONE_ANSWER),
     MatrixRow("N14", "runaway node={node}", RELAX, 10, rows=("N14", "T03", "N05", "T04")),
     MatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
         ("N14b", "T03", "N07", "T01"), (GRASP,)),
-    MatrixRow("N15", "slow node={node} size=2", WARN, 22, rows=("N15",), protocols=ONCE),
+    MatrixRow("N15", "slow node={node} size=2", WARN, 22, rows=("N15",), protocols=ONE_ANSWER),
     MatrixRow("N15", "slow node={node} size=4", WARN, 4, rows=("B01",), protocols=(ODRIVE,)),
     MatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP,)),
     MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED),
-        protocols=ONCE),
+        protocols=ONE_ANSWER),
     MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED),
-        protocols=ONCE),
-    MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED), protocols=ONCE),
+        protocols=ONE_ANSWER),
+    MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED), protocols=ONE_ANSWER),
     # In a grasp at rest, the velocity limit of an ODrive hides an exchange.
     MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED), (FREE,), (ODRIVE,)),
     MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED), (FREE,), (ODRIVE,)),
@@ -223,19 +223,19 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("T05", "stuck cell={tendon}", RELAX, 42, 300.0, ("T05", "T04"), (GRASP,)),
     MatrixRow("T05", "old cell={tendon} size=16", RELAX, 20, rows=("T05b",)),
     MatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, rows=("T05b",)),
-    MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, rows=("T06",), stages=EVERYWHERE),
-    MatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, rows=("T06", "T01"), stages=EVERYWHERE),
+    MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, rows=("T06",), stages=ALL_STAGES),
+    MatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, rows=("T06", "T01"), stages=ALL_STAGES),
     MatrixRow("T08", "offset joint={joint} size=0.4", RELAX, 8, 400.0, ("T08", "N06", "N05")),
     MatrixRow("H01", HOST_PREFIX + "late 0.4", Action.PASS, 1, rows=("H01",)),
     MatrixRow("H02", HOST_PREFIX + "skip 1", WARN, 1, rows=("H02",)),
     MatrixRow("H03", HOST_PREFIX + "skip 14", RELAX, 1, rows=("H03",)),
     MatrixRow("H04", HOST_PREFIX + "io suspended", RELAX, 1, rows=("H04",)),
-    MatrixRow("H06", HOST_PREFIX + "ask stop", RELAX, 1, rows=("",), stages=EVERYWHERE),
-    MatrixRow("H06", HOST_PREFIX + "ask cut", CUT, 1, rows=("",), stages=EVERYWHERE),
+    MatrixRow("H06", HOST_PREFIX + "ask stop", RELAX, 1, rows=("",), stages=ALL_STAGES),
+    MatrixRow("H06", HOST_PREFIX + "ask cut", CUT, 1, rows=("",), stages=ALL_STAGES),
     MatrixRow("H08", HOST_PREFIX + "io recorder disk_full", WARN, 1, rows=("H08",)),
     MatrixRow("H09", HOST_PREFIX + "io recorder dropped", WARN, 1, rows=("H09",)),
     MatrixRow("H10", HOST_PREFIX + "io recorder gone", WARN, 1, rows=("H10",)),
-    MatrixRow("H13", "foreign node={node}", RELAX, 2, rows=("H13",), stages=EVERYWHERE),
+    MatrixRow("H13", "foreign node={node}", RELAX, 2, rows=("H13",), stages=ALL_STAGES),
     MatrixRow("I07", HOST_PREFIX + "ask nonsense 3", RELAX, 1, rows=("I07b",)),
 )  # fmt: skip
 """All rows that the simulator or the control loop can inject while the hand is armed."""

@@ -35,13 +35,13 @@ MAX_FAULTS = 6
 """Largest number of faults of a sequence."""
 BRIEF_MS = (5, 200)
 """Shortest and longest duration of a fault that ends by itself [ms]."""
-PERMANENT = ("snap", "slack")
+PERMANENT_FAULTS = ("snap", "slack")
 """Faults that never end by themselves."""
 BETWEEN_FRACTION = 0.2
 """Fraction of the steps that are requests or faults of the host."""
 BRIEF_FRACTION = 0.6
 """Fraction of the other faults with an end."""
-BETWEEN = (
+HOST_ITEMS = (
     f"{HOST_PREFIX}ask stop",
     f"{HOST_PREFIX}ask clear",
     f"{HOST_PREFIX}ask nonsense 1",
@@ -55,7 +55,7 @@ WATCHDOG_S = 0.05
 """Time without a command after which a drive disables itself [s]."""
 REACTION_TICKS = 10
 """Ticks until the controller stops commanding a runaway drive."""
-FORWARD = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
+MODES_IN_ORDER = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
 """Modes in the order of a run."""
 
 
@@ -107,11 +107,11 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Seq
     steps = []
     for tick in sorted(chance.sample(range(SEQUENCE_TICKS), count)):
         if chance.random() < BETWEEN_FRACTION:
-            steps.append(FaultStep(tick, chance.choice(BETWEEN)))
+            steps.append(FaultStep(tick, chance.choice(HOST_ITEMS)))
             continue
-        fault = chance.choice(texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(BETWEEN))
+        fault = chance.choice(texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_ITEMS))
         brief = (
-            not fault.startswith((HOST_PREFIX, *PERMANENT))
+            not fault.startswith((HOST_PREFIX, *PERMANENT_FAULTS))
             and " for=" not in fault
             and chance.random() < BRIEF_FRACTION
         )
@@ -211,7 +211,7 @@ def _sequence_ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict
 def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
     """Return the rules that a tick violates."""
     violations = []
-    if FORWARD.index(after.mode) < FORWARD.index(before.mode):
+    if MODES_IN_ORDER.index(after.mode) < MODES_IN_ORDER.index(before.mode):
         violations.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
     unlatched = set(before.latched) - set(after.latched)
     if unlatched and not cleared:

@@ -95,9 +95,9 @@ VERBS = {name: text for group in GROUPS.values() for name, text in group.verbs.i
 """One line of help by verb."""
 FOLDERS = {folder: tuple(group.verbs) for folder, group in GROUPS.items()}
 """Verbs by the folder of their modules."""
-RECORDING = ("run", "commission", "demo")
+RECORDING_VERBS = ("run", "commission", "demo")
 """Verbs that record a run, unless they are dry."""
-VOLUME = {"-v", "--verbose", "-q", "--quiet"}
+VERBOSITY_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}
 """Options that are also allowed before the verb."""
 
 EPILOG = """exit codes:
@@ -168,7 +168,7 @@ def _exit_code(words: list[str]) -> int:
 
 def _run(words: list[str]) -> int:
     """Run a command line, and return its exit code. Errors are raised."""
-    while words[1:] and words[0] in VOLUME and words[1] in VERBS.keys() | VOLUME:
+    while words[1:] and words[0] in VERBOSITY_OPTIONS and words[1] in VERBS.keys() | VERBOSITY_OPTIONS:
         words = [words[1], words[0], *words[2:]] if words[1] in VERBS else words[1:]
     if words and words[0] in VERBS:
         return _run_verb(words[0], words[1:])
@@ -245,7 +245,7 @@ def _run_verb(name: str, words: list[str]) -> int:
             options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
             print_detail(f"handctl {_version_text()} {name}: {options}")
         try:
-            with _recorder_ahead() if name in RECORDING and not args.dry_run else nullcontext():
+            with _recorder_ahead() if name in RECORDING_VERBS and not args.dry_run else nullcontext():
                 code: int = _import_verb(name).run(args)
         except ModuleNotFoundError as error:
             if (missing := missing_extra(name, error)) is None:

@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 from handctl.client.fingertips import Fingertips, FingertipStream
-from handctl.client.heartbeat import BEATS, Heartbeat
+from handctl.client.heartbeat import BEATS_PER_LEASE, Heartbeat
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream
 from handctl.core.types import SHUTTING_DOWN
@@ -632,7 +632,9 @@ class HandClient:
             time_scale = 1.0
             with suppress(BusError, DriveError):  # the run may end now
                 time_scale = self._open_reader().description["time_scale"]
-            self._heartbeat = Heartbeat(self.bus, self.name, self._lease_s / BEATS / time_scale, self._watchdog_s)
+            self._heartbeat = Heartbeat(
+                self.bus, self.name, self._lease_s / BEATS_PER_LEASE / time_scale, self._watchdog_s
+            )
 
     def _note_call(self) -> None:
         """Note a call of the program, for the watchdog."""

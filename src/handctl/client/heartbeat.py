@@ -7,7 +7,7 @@ from contextlib import closing, suppress
 from handctl.programs.requests import alive_text
 from handctl.runtime.mailbox import RequestSender
 
-BEATS = 4
+BEATS_PER_LEASE = 4
 """Signs of life in the time of a lease. Three of them may be late or lost."""
 
 

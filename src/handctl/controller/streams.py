@@ -29,7 +29,7 @@ from handctl.programs.streams import (
 
 OLDEST_S = 0.1
 """Age beyond which a target is ignored [s], because later targets replace it."""
-CLIPPED = 1e-9
+CLIP_TOLERANCE = 1e-9
 """Smallest difference from the requested value that counts as clipping [rad, N]."""
 STEADY_PERIODS = 2.5
 """Longest time between two targets from which a speed is computed [periods of the stream]."""
@@ -193,7 +193,7 @@ def _begin_ramp(
             np.abs(reached - setpoint)[tendons] / ticks, step
         )
     named = np.array([name in stream.names for name in model.hand.tendon_names])
-    return stream.space == "tension" and bool((np.abs(inside - aim) > CLIPPED)[named].any())
+    return stream.space == "tension" and bool((np.abs(inside - aim) > CLIP_TOLERANCE)[named].any())
 
 
 def _begin_segment(
@@ -239,7 +239,7 @@ def _begin_segment(
     rows[s.STREAM_TARGET] = inside
     state.set_number(s.STREAM_SINCE, since)
     state.set_number(s.STREAM_DURATION, duration)
-    return bool((np.abs(inside - aim) > CLIPPED).any())
+    return bool((np.abs(inside - aim) > CLIP_TOLERANCE).any())
 
 
 def _count_target(state: State, row: int, text: str = "") -> tuple[Event, ...]:

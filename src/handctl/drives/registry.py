@@ -55,7 +55,7 @@ DISCOVERIES: dict[str, Discovery] = {
     "sensor": sensor_discovery.DISCOVERY,
 }
 """Discovery of each protocol and of the sensor node."""
-UNDISCOVERED = tuple(name for name, entry in PROTOCOLS.items() if not entry.discovery)
+PROTOCOLS_WITHOUT_DISCOVERY = tuple(name for name, entry in PROTOCOLS.items() if not entry.discovery)
 """Protocols whose drives a scan cannot find, because they answer only commands."""
 
 

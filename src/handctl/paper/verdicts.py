@@ -5,7 +5,7 @@ from fractions import Fraction
 
 from handctl.paper.item import ErrataVerdict
 
-EXACT = Fraction(1, 10**12)
+ROUNDING_TOLERANCE = Fraction(1, 10**12)
 """Largest relative difference that counts as floating-point rounding, in values computed with floats."""
 
 
@@ -21,7 +21,7 @@ def verdict_of_number(printed: str, exact: Fraction | float) -> ErrataVerdict:
     shown = Fraction(printed)
     value = Fraction(exact)
     unit = last_digit_value(printed)
-    if abs(shown - value) <= EXACT * abs(value):
+    if abs(shown - value) <= ROUNDING_TOLERANCE * abs(value):
         return ErrataVerdict.EQUAL
     # Half a unit of the last printed digit.
     if 2 * abs(shown - value) <= unit:

@@ -60,7 +60,7 @@ MAX_CROSSTALK_FRACTION = 0.3
 TARE_SUM, TARE_SAMPLES, ZERO, ANSWER, CROSSTALK, PULL_SUM, REST_SUM, REST_SAMPLES = range(8)
 COLUMNS = 8
 """Columns of the table in `Progress.record`, whose indices are above."""
-RESTING = -1
+BEFORE_PULL = -1
 """Value of `Progress.touching[0]` before a pull.
 
 The value is 0 until the tendon is taut, then 1 more than the number of readings.
@@ -93,7 +93,7 @@ class CommissionProgram:
             )
         if progress.step == 0:
             return self._tare_cells(model, progress, measured, t)
-        if progress.touching[0] == RESTING:
+        if progress.touching[0] == BEFORE_PULL:
             return self._rest(model, progress, measured, t)
         if progress.phase == _hold_phase(model, progress.step - 1):
             return self._hold(model, progress, estimate, measured, t)
@@ -314,7 +314,7 @@ class CommissionProgram:
             goals=passive,
             phase="rest",
             contact=(False,) * len(passive),
-            touching=(RESTING,) * len(passive),
+            touching=(BEFORE_PULL,) * len(passive),
         ), ()
 
     def _refuse(self, model: HandModel, progress: Progress, i: int, text: str) -> ProgressAndEvents:

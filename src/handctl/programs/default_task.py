@@ -18,11 +18,11 @@ from handctl.hand.readiness import coordinate_range_deg
 from handctl.hand.tree import HandTree
 from handctl.programs.task import Task
 
-CLOSED = 0.85
+CLOSED_FRACTION = 0.85
 """Angle of a closed coordinate per largest angle. A digit without an object stops before its joints do."""
 LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
-HOLD = 0.3
+HOLD_FRACTION = 0.3
 """Tension of a hold per ``tension_max_N``, if as many digits close from one side as from the other."""
 LARGEST_HOLD = 0.7
 """Largest tension of a hold per ``tension_max_N``."""
@@ -30,19 +30,19 @@ SMALLEST_SHARE = 0.1
 """Smallest factor of a digit for a balance of forces. Hands with smaller ones have no such balance."""
 PRESS_N = 1.0
 """Smallest force of a hold at the tip of a half-closed digit, against springs [N]."""
-CONTACT = 0.16
+CONTACT_FRACTION = 0.16
 """Tension of a digit in contact per ``tension_max_N``, until all digits hold."""
 RELEASE_N = 6.0
 """Tension of a release above the highest ``tension_floor_N`` of the hand [N]."""
 OPENING_S = 1.2
 """Duration of the last phase [s]. A joint that opens by 90 deg then moves at 140 deg/s at most."""
-RESTING = 1.5
+EXTENSOR_FACTOR = 1.5
 """Tension of an extensor in a hold per ``tension_floor_N``."""
 SCENE = "cylinder"
 """Scene with an object of 35 mm in front of the palm, for digits that flex in parallel planes."""
 BALL = "sphere"
 """Scene for digits that flex in other planes."""
-PARALLEL = 0.1
+MAX_AXIAL_COMPONENT = 0.1
 """Largest component of a direction of flexion along the cylinder."""
 PALM_GAP_M = 0.002
 """Gap between the palm and the object of the scene [m]. Source: ``firmware_sim/scenes/cylinder.toml``."""
@@ -74,7 +74,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
                 "name": "close",
                 "angle_deg": {name: _closed_deg(hand, name).tolist() for name in closing},
                 "speed_deg_s": 50.0,
-                "contact_tension_N": round(max(CONTACT * largest, floor + 1.0), 1),
+                "contact_tension_N": round(max(CONTACT_FRACTION * largest, floor + 1.0), 1),
             },
             {
                 "kind": "hold",
@@ -95,7 +95,7 @@ def _closed_deg(hand: Hand, name: str) -> np.ndarray:
     """Return the angle of each coordinate of a closed digit (n_c,) [deg]."""
     _, high = coordinate_range_deg(hand.digit_named(name))
     sideways = DigitModel.of(hand, name).sideways
-    closed = np.where(sideways, 0.0, np.minimum(CLOSED * high, LARGEST_CLOSED_DEG))
+    closed = np.where(sideways, 0.0, np.minimum(CLOSED_FRACTION * high, LARGEST_CLOSED_DEG))
     return np.asarray(np.round(closed, 1))
 
 
@@ -148,15 +148,15 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
-        return round(min(HOLD * share, LARGEST_HOLD) * largest, 1)
+        return round(min(HOLD_FRACTION * share, LARGEST_HOLD) * largest, 1)
     pressing = _pressing_tension(hand, name)
     arms = DigitModel.of(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
         round(
-            min(share * max(HOLD * tendon.tension_max_N, pressing), LARGEST_HOLD * tendon.tension_max_N)
+            min(share * max(HOLD_FRACTION * tendon.tension_max_N, pressing), LARGEST_HOLD * tendon.tension_max_N)
             if arm > 0.0
-            else RESTING * tendon.tension_floor_N,
+            else EXTENSOR_FACTOR * tendon.tension_floor_N,
             1,
         )
         for tendon, arm in rows
@@ -204,7 +204,7 @@ def default_scene(hand: Hand) -> str:
     hand whose digits alone are in no balance, such as an anthropomorphic hand, takes the scene of 35 mm.
     """
     directions = _directions(hand)
-    parallel = all(abs(direction[2]) < PARALLEL for direction in directions.values())
+    parallel = all(abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values())
     if not parallel and _balance(hand) is None:
         return SCENE
     shape = SCENE if parallel else BALL

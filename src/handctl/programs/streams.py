@@ -31,7 +31,7 @@ OUTLIERS = {"joint": 720.0, "digit": 720.0, "tension": 5000.0, "tip_force": 500.
 """Largest value that counts as a target, by space [deg, N]. A larger one is a mistake of the client, and is refused."""
 UNITS = {"joint": "deg", "digit": "deg", "tension": "N", "tip_force": "N"}
 """Unit of the values of a target, by space."""
-SOFTEST = 0.05
+MIN_STIFFNESS_FRACTION = 0.05
 """Smallest fraction of the gains' stiffness. Below it friction decides where a digit stays."""
 
 
@@ -236,7 +236,7 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
         arms = (digit.reduced_moment_arms**2).sum(axis=1)
         mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
         full = arms * mass * model.motion.stiffness[digit.tendons]
-        stiffness[digit.tendons] = np.clip(stream.softness / full, SOFTEST, 1.0)
+        stiffness[digit.tendons] = np.clip(stream.softness / full, MIN_STIFFNESS_FRACTION, 1.0)
         damping[digit.tendons] = np.minimum(
             stream.damping_ratio * np.sqrt(stiffness[digit.tendons]), 1.0
         )

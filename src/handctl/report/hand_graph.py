@@ -28,7 +28,7 @@ JOINTS_X = 3.0
 JOINT_STEP = 1.7
 BUS_STEP = 0.35
 """Columns of the picture, and the distances of joints and of buses."""
-INCHES = 0.42
+ROW_HEIGHT_IN = 0.42
 """Height of a row [inch]."""
 
 
@@ -46,7 +46,7 @@ def draw_hand(path: Path, hand: Hand) -> None:
     joints = max(len(digit.joints) for digit in hand.digit)
     left = MOTOR_X - 1.6 - BUS_STEP * len(hand.bus)
     right = JOINTS_X + JOINT_STEP * joints + 0.6
-    figure = Figure(figsize=(1.05 * (right - left), INCHES * rows + 0.5), layout="constrained")
+    figure = Figure(figsize=(1.05 * (right - left), ROW_HEIGHT_IN * rows + 0.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set_xlim(left, right)

@@ -120,7 +120,7 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
         _leave_fifo()
 
 
-def give_back_priority() -> None:
+def restore_priority() -> None:
     """Return to ordinary scheduling and unlock the memory after the loop."""
     _leave_fifo()
     if sys.platform.startswith("linux"):

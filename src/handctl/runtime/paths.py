@@ -20,7 +20,7 @@ from handctl.errors import BusError
 
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 """Permission bits for writing by group or others."""
-OTHERS = stat.S_IRWXG | stat.S_IRWXO
+GROUP_AND_OTHERS = stat.S_IRWXG | stat.S_IRWXO
 """Permission bits of group and others."""
 PRIVATE = 0o700
 """Permission bits of a folder created by handctl."""
@@ -107,7 +107,7 @@ def _refuse_shared(here: Path, at: int) -> None:
         raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), RIGHT_FOLDER)
     if state.st_mode & OTHERS_WRITE:
         raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), RIGHT_FOLDER)
-    if state.st_mode & OTHERS:
+    if state.st_mode & GROUP_AND_OTHERS:
         os.fchmod(at, PRIVATE)
 
 

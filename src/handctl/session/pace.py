@@ -9,7 +9,7 @@ from handctl.runtime.simulator import ask_simulator, find_simulator
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome
 
-LOAD = 0.7
+MAX_CORE_LOAD = 0.7
 """Largest load of a core at which the machine is fast enough, as a fraction."""
 FAILED_SCALE_FRACTION = 0.7
 """Largest advised time scale, as a fraction of the time scale that failed."""
@@ -43,7 +43,7 @@ def slower_time_scale(plan: Plan, outcome: Outcome) -> float:
     load = sum(core_loads) if usable_cores() == 1 else max(core_loads)
     below_failed = FAILED_SCALE_FRACTION * plan.time_scale
     advised = measured.get("advice") or math.inf
-    carried = LOAD / load if load > 0.0 else math.inf
+    carried = MAX_CORE_LOAD / load if load > 0.0 else math.inf
     return round_down_to_one_digit(max(0.001, min(below_failed, advised, carried)))
 
 

@@ -26,7 +26,7 @@ from handctl.programs.calibration import Calibration
 from handctl.programs.live import LiveProgram, import_spline
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, prepare_priority, realtime_priority
+from handctl.runtime.clock import Clock, Priority, RealClock, prepare_priority, realtime_priority, restore_priority
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, StopSignals
@@ -156,7 +156,7 @@ def run_live(
             stack.callback(opened.close)
             buses.append(opened)
         priority = prepare_priority()
-        stack.callback(give_back_priority)
+        stack.callback(restore_priority)
         clock.spin = priority.realtime
         recorder = Recorder.start(log, run_header(plan, controller, priority, lockstep=False))
         display = plan.display(plan) if plan.display else None

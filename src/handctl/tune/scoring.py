@@ -27,7 +27,7 @@ from handctl.tune.loops.design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
 
-FAILED = 1e3
+FAILED_OBJECTIVE = 1e3
 """Objective value for gains with which the exercise did not finish."""
 
 
@@ -88,12 +88,21 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     plants = job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and job.get("must_keep_margins", False):
-        return _score_table(Score(FAILED, FAILED, FAILED, 0.0, shortfall, "margins"))
+        return _score_table(Score(FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, 0.0, shortfall, "margins"))
     runs = []
     for i, factors in enumerate(plants):
         runs.append(score_exercise(hand, model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
-            return _score_table(Score(FAILED, FAILED, FAILED, runs[-1].peak_tension_N, shortfall, runs[-1].failure))
+            return _score_table(
+                Score(
+                    FAILED_OBJECTIVE,
+                    FAILED_OBJECTIVE,
+                    FAILED_OBJECTIVE,
+                    runs[-1].peak_tension_N,
+                    shortfall,
+                    runs[-1].failure,
+                )
+            )
     # Root mean square over the plants, so the worst plants weigh most.
     tracking, tension, effort = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
     return _score_table(Score(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
@@ -158,7 +167,7 @@ def score_run(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthR
     tension = truth.values[:, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]]
     peak = float(tension.max(initial=0.0))
     if failure or not active:
-        return Score(FAILED, FAILED, FAILED, peak, 0.0, failure or "never active")
+        return Score(FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, peak, 0.0, failure or "never active")
     t_ns = np.array([t for t, _ in active])
     goal, tension_goal, torque = (
         np.array([getattr(out.telemetry, name) for _, out in active])

@@ -32,7 +32,7 @@ from handctl.session.exit_codes import ExitCode
 
 NO_USB = Adapter()
 """Value that stands for an interface without USB adapter."""
-BUSY = "is the machine busy, or the adapter's latency timer long? handctl doctor tells priorities"
+BUSY_HINT = "is the machine busy, or the adapter's latency timer long? handctl doctor tells priorities"
 SLOW_S = 0.005
 """Largest acceptable median round-trip time [s], equal to the period of 200 Hz."""
 
@@ -159,7 +159,7 @@ def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
     times = f"{trip.shortest * 1e3:.2f} / {trip.median * 1e3:.2f} / {trip.longest * 1e3:.2f} ms"
     what = f"{name} answers {trip.answers} of {trip.asked}, shortest / median / longest {times}"
     good = trip.answers == trip.asked and trip.median < SLOW_S
-    return LinkFinding(what, good, BUSY)
+    return LinkFinding(what, good, BUSY_HINT)
 
 
 def _missing_motors(hand: Hand, bus: str, result: Scan) -> list[LinkFinding]:

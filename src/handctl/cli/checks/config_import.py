@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         if getattr(args, option) is not None:
             name = option.removesuffix("_mm")
             raise ConfigError(f"given, and so is --{kind}", f"--{name}", "one of them")
-    described, notes = read_described(args.urdf or args.mjcf, kind, args.output.parent)
+    described, notes = read_hand_description(args.urdf or args.mjcf, kind, args.output.parent)
     tendons, unread = usable_tendons(described)
     answers = TendonAnswers(**{name: getattr(args, name) for name in ANSWERS})
     if not args.yes:
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def read_described(path: Path, kind: str, output: Path) -> tuple[Described, list[str]]:
+def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Described, list[str]]:
     """Read a robot description.
 
     Args:

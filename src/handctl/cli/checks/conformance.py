@@ -32,7 +32,7 @@ from handctl.runtime.diagnostics.conformance import (
 from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import ExitCode
 
-MARKS = {
+VERDICT_WORDS = {
     CheckVerdict.PASSED: "passed",
     CheckVerdict.FAILED: "FAILED",
     CheckVerdict.NOT_APPLICABLE: "n/a   ",
@@ -92,7 +92,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
             for check in run_checks(DeviceUnderTest(rig, args.limit, WATCHDOG_MS / 1e3)):
                 results.append(check)
                 if not args.json:
-                    print(f"{MARKS[check.verdict]}  {check.name}: {check.reason}", flush=True)
+                    print(f"{VERDICT_WORDS[check.verdict]}  {check.name}: {check.reason}", flush=True)
         finally:
             if len(results) < len(PROMISES):
                 bus.send(drive.cut())

@@ -14,7 +14,7 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
 from handctl.extras import extras_installed
-from handctl.runtime.clock import Priority, give_back_priority, realtime_priority, take_priority
+from handctl.runtime.clock import Priority, realtime_priority, restore_priority, take_priority
 from handctl.runtime.paths import run_dir
 from handctl.session.exit_codes import ExitCode
 
@@ -81,7 +81,7 @@ def _extras() -> Finding:
 def _granted_priority() -> Priority:
     """Return the priority granted by the system. The priority is requested and then released."""
     granted = take_priority()
-    give_back_priority()
+    restore_priority()
     return granted
 
 

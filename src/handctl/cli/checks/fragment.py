@@ -12,7 +12,7 @@ TO_FILL_IN = "yours: "
 TORQUE_TOP = 50.0
 """Largest torque allowed in a hand file [N m]."""
 RATED_N_M = 0.1
-COUNTS = 65536
+ENCODER_COUNTS = 65536
 
 
 def hand_file_snippet(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_bitrate: int | None) -> str:
@@ -112,7 +112,7 @@ def _option_lines(drive: DiscoveredNode) -> list[Entry]:
     if drive.protocol == "cia402":
         for key, value, where in (
             ("rated_torque_N_m", RATED_N_M, "0x6076"),
-            ("counts_per_turn", COUNTS, "0x608F"),
+            ("counts_per_turn", ENCODER_COUNTS, "0x608F"),
         ):
             if key not in drive.options:
                 entries.append((key, value, f"{TO_FILL_IN}{where} and the data sheet"))

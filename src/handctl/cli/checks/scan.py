@@ -10,14 +10,14 @@ from handctl.cli.console.verbosity import print_note
 from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE, Frame
-from handctl.drives.registry import UNDISCOVERED
+from handctl.drives.registry import PROTOCOLS_WITHOUT_DISCOVERY
 from handctl.hand.file.sections import CIA404
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.scan import Scan, requests_without_answers, scan_bus
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
-SHOWN = 8
+MAX_FOREIGN_FRAMES = 8
 """Largest number of another host's frames in the output."""
 MILLI = 1e-3
 
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     piece = hand_file_snippet({name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate)
     if args.json:
         listed = [_scan_fields(name, buses[name], result) for name, result in scans.items()]
-        print_json({"buses": listed, "fragment": piece, "not_looked_for": list(UNDISCOVERED)})
+        print_json({"buses": listed, "fragment": piece, "not_looked_for": list(PROTOCOLS_WITHOUT_DISCOVERY)})
     else:
         _print_scans(buses, scans, piece)
     return ExitCode.DONE if any(result.found for result in scans.values()) else ExitCode.FAILED
@@ -108,7 +108,7 @@ def _print_scans(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> N
     for name, result in scans.items():
         print(f"{name} ({buses[name]}): {len(result.found)} nodes, {result.frames} frames heard")
         if result.foreign:
-            frames_text = ", ".join(_frame_text(frame) for frame in result.foreign[:SHOWN])
+            frames_text = ", ".join(_frame_text(frame) for frame in result.foreign[:MAX_FOREIGN_FRAMES])
             print(f"  another host is at work here ({frames_text}): only listened; end it, or --force")
         if result.omitted:
             kinds = sorted({f"{frame.can_id:#05x}" for frame in result.omitted})
@@ -123,7 +123,7 @@ def _print_scans(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> N
 
 def undiscoverable_protocols_text() -> str:
     """Return a line about protocols whose drives a scan cannot find."""
-    return f"not looked for: {', '.join(UNDISCOVERED)}, whose drives answer commands only"
+    return f"not looked for: {', '.join(PROTOCOLS_WITHOUT_DISCOVERY)}, whose drives answer commands only"
 
 
 def _print_drive(drive: DiscoveredNode) -> None:

@@ -22,7 +22,7 @@ from handctl.hand.file.sections import Motor
 from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import RealClock, give_back_priority, take_priority
+from handctl.runtime.clock import RealClock, restore_priority, take_priority
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import Scan, receive_for, scan_bus
 
@@ -198,5 +198,5 @@ def opened_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRi
     try:
         yield DriveRig(drive, bus, clock), bus
     finally:
-        give_back_priority()
+        restore_priority()
         bus.close()

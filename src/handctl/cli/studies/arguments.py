@@ -22,7 +22,7 @@ EXAMPLES = {
     "paper": Example("handctl paper --quick"),
 }
 """Example of each verb and each sub-verb, as shown in its help text."""
-TEXT = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
+FAULT_SYNTAX = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
 'drop node=3 p=0.05 at=3s for=2s', 'snap tendon=index_tendon', 'stuck cell=thumb_tendon at=500ms';
 handctl fault kinds lists all faults that a running simulator can inject"""
 
@@ -35,7 +35,7 @@ def fault(parser: Parser) -> None:
         return add_sub_verb(actions, name, text, EXAMPLES[f"fault {name}"])
 
     inject = action("inject", "start a fault in a running simulator")
-    inject.description = TEXT
+    inject.description = FAULT_SYNTAX
     text = 'fault and its parameters, as in "drop node=3 p=0.05 at=3s for=2s"'
     inject.add_argument("text", metavar="FAULT", help=text)
     listed = action("list", "list the faults of a running simulator, and how often each took effect")

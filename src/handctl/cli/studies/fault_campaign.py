@@ -30,7 +30,7 @@ QUICK_FAULT_FREE_S = 4.0
 FAULT_FREE_S = 60.0
 """Duration of the fault-free run for each protocol in a full campaign [s]."""
 MAX_JOBS = 64
-FIRST = "bringing the hand to its stages"
+FIRST_LABEL = "bringing the hand to its stages"
 MAX_FAULT_FREE_S = 86_400.0
 
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(repr(id_), "--row", f"a row with a fault that this hand can have with {args.protocol}")
     folder = report_folder(args)
     fault_free_s = args.calm if args.calm is not None else QUICK_FAULT_FREE_S if args.quick else FAULT_FREE_S
-    with progress_bar(FIRST, quiet=args.json) as update_progress:
+    with progress_bar(FIRST_LABEL, quiet=args.json) as update_progress:
         report = run_campaign(
             args.hand,
             protocols,

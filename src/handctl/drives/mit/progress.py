@@ -82,7 +82,7 @@ def apply_status(state: DriveState, nibble: int) -> DriveState:
         return _state_when_enabled(state, progress)
     if nibble == codec.DISABLED:
         return _state_when_disabled(state, progress)
-    return _state_when_in_error(state, progress, nibble)
+    return _state_after_error(state, progress, nibble)
 
 
 def _state_when_disabled(state: DriveState, progress: MitProgress) -> DriveState:
@@ -111,7 +111,7 @@ def _state_when_enabled(state: DriveState, progress: MitProgress) -> DriveState:
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
-def _state_when_in_error(state: DriveState, progress: MitProgress, nibble: int) -> DriveState:
+def _state_after_error(state: DriveState, progress: MitProgress, nibble: int) -> DriveState:
     """Return the state after the motor reported an error.
 
     A known error has removed the torque. With an unknown state nibble the motor may still make

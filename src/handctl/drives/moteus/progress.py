@@ -83,7 +83,7 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     if mode == codec.STOPPED:
         return _state_when_stopped(state, progress, was_preparing)
     if mode in (codec.FAULT_MODE, codec.TIMED_OUT):
-        return _state_when_in_error(state, progress, fault if mode == codec.FAULT_MODE and fault else mode)
+        return _state_after_error(state, progress, fault if mode == codec.FAULT_MODE and fault else mode)
     if mode == codec.POSITION:
         return _state_when_enabled(state, progress)
     if mode in codec.PREPARING and progress.enable_sent and state.phase == READY:
@@ -130,7 +130,7 @@ def _state_when_enabled_by_other(state: DriveState, progress: MoteusProgress, te
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
-def _state_when_in_error(state: DriveState, progress: MoteusProgress, error: int) -> DriveState:
+def _state_after_error(state: DriveState, progress: MoteusProgress, error: int) -> DriveState:
     """Return the state after an error. A drive in error makes no torque."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))

@@ -107,7 +107,7 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     updated = state._replace(private=progress._replace(clearing=0))
     if beat.errors:
-        return _state_when_in_error(updated, progress, beat, firmware_05)
+        return _state_after_error(updated, progress, beat, firmware_05)
     if beat.state == codec.CLOSED_LOOP:
         return _state_when_enabled(updated, progress)
     if beat.state == codec.IDLE:
@@ -115,7 +115,7 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
     return _state_when_in_other_axis_state(updated, progress)
 
 
-def _state_when_in_error(
+def _state_after_error(
     state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat, firmware_05: bool
 ) -> DriveState:
     """Return the state after a heartbeat with an error.

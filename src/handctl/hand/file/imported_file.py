@@ -24,7 +24,7 @@ ROUNDING = 1e-9
 """Largest deviation by rounding of an axis or a rotation."""
 DECIMALS = 12
 """Decimals of a length, a mass or an inertia in SI units."""
-CHOSEN = {
+CHOSEN_KEYS = {
     "protocol",
     "tendons",
     "joints",
@@ -37,7 +37,9 @@ CHOSEN = {
     "velocity_range_rad_s",
 }
 """Keys whose value is chosen and set, not measured."""
-ARMS = f"{UNMEASURED} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
+MISSING_ARMS_COMMENT = (
+    f"{UNMEASURED} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
+)
 """Comment of a tendon without moment arms."""
 SKELETON = "# The tendons below only stand for those of the hand: one for each {}. Add, remove and rename them.\n"
 """Comment if the description has no tendons."""
@@ -353,7 +355,7 @@ def _drive_lines(tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int
         arms = tendon["arms"]
         words = [f'motor = "{tendon["motor"]}"']
         words.append(f'moment_arm_m = "{UNMEASURED}"' if arms is None else f"moment_arm_m = {{ {_table(arms)} }}")
-        comment = ARMS if arms is None else ""
+        comment = MISSING_ARMS_COMMENT if arms is None else ""
         yield _Line(f"tendon.{tendon['name']}", f"{{ {', '.join(words)} }}", comment)
     for motor in dict.fromkeys(tendon["motor"] for tendon in tendons):
         node = nodes[bus]
@@ -414,7 +416,7 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_Line]:
 
 def _todo(section: type[Section], key: str) -> _Line:
     """Return the line of a missing value."""
-    verb = "set" if key in CHOSEN else "measure"
+    verb = "set" if key in CHOSEN_KEYS else "measure"
     return _Line(key, f'"{UNMEASURED}"', f"{UNMEASURED} {verb}: {_meaning(section, key)}")
 
 

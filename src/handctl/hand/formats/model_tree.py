@@ -18,7 +18,7 @@ from handctl.hand.digit import Array
 from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.hand.file.sections import MAX_LINKS
 
-ALONG = 1e-6
+MAX_ANGLE_TO_LINK_RAD = 1e-6
 """Largest angle between x and the next joint for a frame that stays as it is [rad]."""
 MEETING_M = 1e-7
 """Largest distance of two joints whose axes meet [m]."""
@@ -30,7 +30,7 @@ FACING = 0.7
 """Smallest component along x of the digits of a palm frame that stays as it is."""
 BEHIND_M = 0.005
 """Largest distance of the foremost mount from the plane x = 0, for a palm frame that stays there [m]."""
-PARALLEL = 0.1
+MAX_PARALLEL_SINE = 0.1
 """Largest sine of the angle between a joint's axis and its link that counts as a joint about the link."""
 TIP = re.compile(r"tip|end", re.IGNORECASE)
 """Names of the frame at the end of a digit."""
@@ -284,10 +284,10 @@ def _frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
         return np.eye(3), 0.0
     x = end / length
     motion = np.cross(link.axis, x)
-    if np.linalg.norm(x[1:]) < ALONG and x[0] > 0.0 and not (last and motion[1] < FLEXING):
+    if np.linalg.norm(x[1:]) < MAX_ANGLE_TO_LINK_RAD and x[0] > 0.0 and not (last and motion[1] < FLEXING):
         return np.eye(3), length
     z = link.axis - (link.axis @ x) * x
-    if np.linalg.norm(z) < PARALLEL:
+    if np.linalg.norm(z) < MAX_PARALLEL_SINE:
         # The joint turns about the link. Any direction across the link will do.
         z = np.eye(3)[int(np.argmin(np.abs(x)))]
         z = z - (z @ x) * x

@@ -26,7 +26,7 @@ _CHANNEL = struct.Struct("<H")
 MESSAGE = int(Opcode.MESSAGE)
 _HEADER = 11
 """Bytes that the messages of a block have in common: opcode, length and channel."""
-_HEADS = np.dtype(f"V{_HEADER}")
+_RECORD_HEADERS = np.dtype(f"V{_HEADER}")
 _BODY = 31
 """Start of the data in a Message record."""
 
@@ -139,7 +139,7 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
     # only the headers.
     while count < max_count:
         number = min(step, max_count - count)
-        heads = np.ndarray(number, _HEADS, content, at + count * size, (size,)).tobytes()
+        heads = np.ndarray(number, _RECORD_HEADERS, content, at + count * size, (size,)).tobytes()
         equal = number if heads == head * number else _count_equal_heads(heads, head, number)
         count += equal
         step *= 4

@@ -129,9 +129,9 @@ class LogWriter:
         self._snapshots: list[MessageBlock] = []
         self.ticks = self.lost = self._missed = 0
         self._container = Container(self._fd)
-        self._write_head()
+        self._write_header_records()
 
-    def _write_head(self) -> None:
+    def _write_header_records(self) -> None:
         """Write attachments, metadata, schemas, and channels."""
         header = self._header
         container = self._container

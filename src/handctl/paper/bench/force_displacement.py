@@ -38,7 +38,7 @@ LINEAR_N = (30.0, 150.0)
 
 The origin of the curve is extrapolated from this range.
 """
-STRAIGHT = 1.2
+MAX_NOISE_RESIDUAL = 1.2
 """Largest residual that counts as noise [standard deviations of the load cell]."""
 
 
@@ -142,7 +142,7 @@ def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (
         (None, 0.0)
-        if residual <= STRAIGHT * noise
+        if residual <= MAX_NOISE_RESIDUAL * noise
         else _fit_knee(displacement, force, float(slope))
     )
     return TendonCurve(

@@ -16,8 +16,8 @@ POSE_DEG = {"index": 24.0, "middle": 30.0, "ring": 36.0, "thumb": 30.0}
 """Angle of all joints of each digit [deg]."""
 LABEL_MM = {"index": (4, 0, 8), "middle": (4, 0, 8), "ring": (-8, -4, -14), "thumb": (0, 0, 8)}
 """Offset of each digit's label [mm]."""
-AROUND = 24
-ALONG = 6
+FACES_AROUND = 24
+FACES_ALONG = 6
 """Number of faces around a bar, and along its round end."""
 LIGHT = np.array([0.35, -0.45, 0.82])
 """Direction of the light."""
@@ -117,17 +117,17 @@ def _capsule_faces(start: Array, end: Array, radius: float) -> list[Array]:
     side = np.cross(along, (0.0, 0.0, 1.0))
     side /= np.linalg.norm(side)
     up = np.cross(along, side)
-    quarter = np.linspace(0.0, np.pi / 2, ALONG)
+    quarter = np.linspace(0.0, np.pi / 2, FACES_ALONG)
     # Rings along the straight part, then around the round end.
     rings = [(start + (end - start) * fraction, radius) for fraction in np.linspace(0.0, 0.9, 5)]
     rings += [(end + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter]
-    turn = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
+    turn = np.linspace(0.0, 2.0 * np.pi, FACES_AROUND + 1)
     circle = np.outer(np.cos(turn), side) + np.outer(np.sin(turn), up)
     shells = [centre + size * circle for centre, size in rings]
     return [
         np.array([a[i], a[i + 1], b[i + 1], b[i]])
         for a, b in pairwise(shells)
-        for i in range(AROUND)
+        for i in range(FACES_AROUND)
     ]
 
 

@@ -10,7 +10,7 @@ man 2 clock_gettime, man 7 vdso.
 
 import time
 
-LIFE = 256
+USES_PER_MEASUREMENT = 256
 """Number of uses of each measurement.
 
 A small step of the wall clock is noticed after at most this number.
@@ -20,7 +20,7 @@ TRIES = 3
 
 
 class ClockOffset:
-    """Offset between the clocks, measured every ``LIFE`` uses."""
+    """Offset between the clocks, measured every ``USES_PER_MEASUREMENT`` uses."""
 
     def __init__(self) -> None:
         """Start without a measurement."""
@@ -46,7 +46,7 @@ class ClockOffset:
         readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(TRIES)]
         before, wall, after = min(readings, key=_reading_duration)
         self._offset_ns = (before + after) // 2 - wall
-        self._uses_left = LIFE
+        self._uses_left = USES_PER_MEASUREMENT
 
 
 def _reading_duration(reading: tuple[int, int, int]) -> int:

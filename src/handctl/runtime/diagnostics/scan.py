@@ -14,7 +14,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
-BURST = 4
+MAX_BURST_FRAMES = 4
 """Largest number of frames sent together. The queue of an interface may have only 10 frames."""
 PAUSE_S = 0.003
 """Pause after a burst [s]."""
@@ -22,7 +22,7 @@ TRIES = 50
 """Number of attempts to send a frame refused by the interface."""
 
 
-STRAY = 1
+IGNORED_FRAMES = 1
 """Number of frames from another host to ignore.
 
 A host that has just ended may have sent such frames.
@@ -124,7 +124,7 @@ def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
     for name, discovery in DISCOVERIES.items():
         explained = frozenset().union(*_commands_of_others(name, seen))
         foreign += [frame for frame in discovery.other_host_frames(seen) if frame.can_id not in explained]
-    return tuple(dict.fromkeys(foreign)) if len(foreign) > STRAY else ()
+    return tuple(dict.fromkeys(foreign)) if len(foreign) > IGNORED_FRAMES else ()
 
 
 def _send(bus: Bus, frame: Frame, seen: list[Frame], listen: Listen) -> bool:
@@ -134,7 +134,7 @@ def _send(bus: Bus, frame: Frame, seen: list[Frame], listen: Listen) -> bool:
     """
     for _ in range(TRIES):
         if bus.send((frame,)):
-            listen(bus, PAUSE_S / BURST, seen)
+            listen(bus, PAUSE_S / MAX_BURST_FRAMES, seen)
             return True
         listen(bus, PAUSE_S, seen)
     return False

@@ -18,7 +18,7 @@ import numpy as np
 
 from handctl.tune.identify.data import Array
 
-KINK = 4.5
+CONTACT_SCORE = 4.5
 """Smallest score that counts as a contact, for a digit with one tendon."""
 KINK_OF_SEVERAL = 6.0
 """Smallest score that counts as a contact, for a digit with several tendons.
@@ -28,7 +28,7 @@ tendon and 3.9 with several. With several tendons a ramp is tried at every joint
 joint encoders are neglected. A jamia finger that touches the thumb between 14 and 25 degrees has
 scores from 4.7 to 17.
 """
-CLEAR = 3.0
+NO_CONTACT_SCORE = 3.0
 """Score below which a fit proves that a digit was not blocked."""
 CLEAR_ROWS = 80
 """Smallest number of rows in a fit that proves this."""
@@ -76,7 +76,7 @@ class Ramp(NamedTuple):
     def clear(self) -> bool:
         """Return True if the fit explains the sweep well enough to exclude a contact."""
         good = self.square <= CLEAR_SQUARE and self.outliers <= CLEAR_OUTLIERS and self.rows >= CLEAR_ROWS
-        return abs(self.score) < CLEAR and good
+        return abs(self.score) < NO_CONTACT_SCORE and good
 
 
 def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]) -> Ramp | None:
@@ -116,7 +116,7 @@ def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, un
                 score = float(orthogonal @ residual) / size**0.5
                 best = max(best, (score, start, score / size**0.5), key=lambda ramp: abs(ramp[0]))
     square = float(np.mean(residual[rows][used] ** 2))
-    kink = KINK if len(units) == 1 else KINK_OF_SEVERAL
+    kink = CONTACT_SCORE if len(units) == 1 else KINK_OF_SEVERAL
     return Ramp(best[0], best[1], high, best[2], len(angle), 1.0 - float(used.mean()), square, kink)
 
 

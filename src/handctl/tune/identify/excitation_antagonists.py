@@ -53,7 +53,7 @@ HOLD_RATIO = 0.7
 """Largest torque of a stretched tendon, as a fraction of the torque with which the others open the digit."""
 TAUT_RATIO = 1.3
 """Tensions that take up slack, as a multiple of the smallest ones that hold each other."""
-AGAINST = 0.5
+COUNTER_MOTION_FRACTION = 0.5
 """Part of the amplitude with which a coordinate moves against the others.
 
 All of it would leave tendons at rest that pass both joints.
@@ -138,7 +138,9 @@ def _sign_patterns(count: int) -> list[Array]:
     patterns = [np.ones(count)]
     if count > 1:
         # With two coordinates, one against the other is the same as the other against the one.
-        patterns += [np.where(np.arange(count) == i, -AGAINST, 1.0) for i in range(count if count > 2 else 1)]
+        patterns += [
+            np.where(np.arange(count) == i, -COUNTER_MOTION_FRACTION, 1.0) for i in range(count if count > 2 else 1)
+        ]
     return patterns
 
 

@@ -48,7 +48,7 @@ This is an assumption, because for the load cell tendon and stop are springs in 
 measurement separates the two. In the packaged simulator the compliance of the stops at the tendon
 is 3.8e-7 m/N, or 0.038 of the tendon's.
 """
-VAGUE = 3.0
+DEFAULT_PRIOR_DEVIATION = 3.0
 """Prior relative standard deviation of all other parameters.
 
 This prior keeps a fit finite if the data do not determine a parameter.
@@ -69,7 +69,7 @@ MAX_SCALE = 20.0
 """Upper bound of scaled parameters."""
 CONFIDENCE = 0.95
 """Confidence level of all intervals."""
-INFORMED = 0.5
+MAX_HALF_WIDTH = 0.5
 """Largest half width of the interval of an identified parameter, as a fraction of the value."""
 
 
@@ -203,7 +203,7 @@ class Problem:
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
         """Return the residuals of drift and prior knowledge."""
-        spread = np.array([PRIOR.get(name, VAGUE) for name in NAMES])
+        spread = np.array([PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in NAMES])
         return [np.diff(drift) / self.step, drift[:1] / OFFSET_N, (z[: len(NAMES)] - 1.0) / spread]
 
 

@@ -19,7 +19,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.tune.identify.contact_detection import Ramp, steepest_ramp
 from handctl.tune.identify.data import Array, TendonData, average_samples
-from handctl.tune.identify.fit import MAX_SCALE, MIN_SCALE, NAMES, PRIOR, VAGUE, Fit, merge_solution
+from handctl.tune.identify.fit import DEFAULT_PRIOR_DEVIATION, MAX_SCALE, MIN_SCALE, NAMES, PRIOR, Fit, merge_solution
 from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
 from handctl.tune.identify.solve import Solution, solve_least_squares
 
@@ -170,7 +170,12 @@ def fit_digit(balance: Balance) -> Solution:
     tendons = len(balance.noise)
     arms = balance.digit.moment_arms
     whiten = balance.whiten
-    spread = np.array([*(PRIOR.get(name, VAGUE) for name in SHARED_PARAMETERS), *[VAGUE] * tendons])
+    spread = np.array(
+        [
+            *(PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in SHARED_PARAMETERS),
+            *[DEFAULT_PRIOR_DEVIATION] * tendons,
+        ]
+    )
     friction = _friction_scales(balance.digit)
 
     def residuals(z: Array) -> Array:

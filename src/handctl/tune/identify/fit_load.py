@@ -39,7 +39,7 @@ STEPS = 14
 """Number of Newton steps to solve for the tension."""
 STEP_RAD = 1e-4
 """Step of the numerical derivative of a moment arm [rad]."""
-SOFTEST = 0.2
+MIN_STIFFNESS_FRACTION = 0.2
 """Smallest stiffness of a joint less that of its growing moment arm, as a fraction of its spring."""
 MAX_FRICTION_EXPONENT = 3.0
 """Bound for the exponent of the capstan equation.
@@ -221,7 +221,7 @@ class DigitLoad:
                 arm, bend, _ = self._joint(i, q[i])
                 rest = (arm - bend * q[i]) * f * friction_factor - extra[i] - stiffness[i] * p.preload * self.preload[i]
                 # An arm that grows with the angle acts against the spring.
-                held = np.maximum(stiffness[i] - bend * f * friction_factor, SOFTEST * stiffness[i])
+                held = np.maximum(stiffness[i] - bend * f * friction_factor, MIN_STIFFNESS_FRACTION * stiffness[i])
                 q[i] = rest / held
                 angle = angle + q[i]
                 arm, _, taken_up = self._joint(i, q[i])

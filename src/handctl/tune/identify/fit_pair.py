@@ -27,11 +27,11 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 from handctl.hand.tree import HandTree
 from handctl.tune.identify.data import TendonData
 from handctl.tune.identify.fit import (
+    DEFAULT_PRIOR_DEVIATION,
     MAX_SCALE,
     MIN_SCALE,
     NAMES,
     SCALE_OFFSET_M,
-    VAGUE,
     Fit,
     Problem,
     parameter_scales,
@@ -40,7 +40,7 @@ from handctl.tune.identify.fit import (
 from handctl.tune.identify.fit_load import Bins
 from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
 from handctl.tune.identify.fit_travel import SKEW_S, excursions
-from handctl.tune.identify.solve import MIN_FREEDOM, OUTLIER, Solution, solve_least_squares
+from handctl.tune.identify.solve import MIN_FREEDOM, OUTLIER_RESIDUAL, Solution, solve_least_squares
 
 PAIR_PARAMETERS = (
     "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "tendon_stiffness", "capstan", "moment_arm",
@@ -284,7 +284,7 @@ class PairProblem:
         noise = np.hypot(self.reading_noise / np.sqrt(w.readings), np.where(w.free, 0.0, softest))
         known = np.isfinite(w.excursion)
         second = np.where(known, self.stretch(z) - by_tension, 0.0) / noise
-        spread = np.array([*(PAIR_PRIOR.get(name, VAGUE) for name in PAIR_PARAMETERS), 1.0, 1.0])
+        spread = np.array([*(PAIR_PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in PAIR_PARAMETERS), 1.0, 1.0])
         return np.concatenate([motor, second, (z - self.start) / spread])
 
     def bounds(self) -> tuple[Array, Array]:
@@ -355,7 +355,7 @@ def _starts(first: Array) -> list[Array]:
 
 def _robust_cost(residual: Array) -> float:
     """Return the soft L1 cost of residuals, in which outliers weigh little."""
-    return float((np.sqrt(1.0 + (residual / OUTLIER) ** 2) - 1.0).sum())
+    return float((np.sqrt(1.0 + (residual / OUTLIER_RESIDUAL) ** 2) - 1.0).sum())
 
 
 def _as_fit(hand: Hand, problem: PairProblem, solution: Solution) -> Fit:
@@ -366,7 +366,7 @@ def _as_fit(hand: Hand, problem: PairProblem, solution: Solution) -> Fit:
     own = len(target)
     z = np.append(np.ones(count), (0.0, 0.0))
     z[target] = solution.z[:own]
-    covariance = np.eye(count + 2) * VAGUE**2
+    covariance = np.eye(count + 2) * DEFAULT_PRIOR_DEVIATION**2
     covariance[np.ix_(target, target)] = solution.covariance[:own, :own]
     freedom = np.full(count + 2, MIN_FREEDOM)
     freedom[target] = solution.freedom[:own]

@@ -15,11 +15,11 @@ import numpy as np
 from handctl.hand.digit import DigitModel
 from handctl.tune.identify.data import MIN_TENSION_N, Array, TendonData, average_samples
 from handctl.tune.identify.fit import (
+    DEFAULT_PRIOR_DEVIATION,
     MAX_SCALE,
     MIN_SCALE,
     NAMES,
     SCALE_OFFSET_M,
-    VAGUE,
     Fit,
     merge_solution,
     with_model_error,
@@ -39,7 +39,7 @@ five simulated hands.
 """
 SKEW_S = 1e-3
 """Scale and prior standard deviation of the time difference of the encoders [s]."""
-REACH = 1
+SAMPLES_EACH_SIDE = 1
 """Samples before and after a joint reading over which tension is averaged."""
 MIN_ROWS = 50
 """Smallest number of joint readings for a fit."""
@@ -77,7 +77,7 @@ def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: Fit, joint
         joint_noise: standard deviation of a joint reading [rad].
     """
     problem = fit.problem
-    tension = average_samples(data.tension, REACH)
+    tension = average_samples(data.tension, SAMPLES_EACH_SIDE)
     speed = np.gradient(data.travel, data.period)
     used = np.isfinite(data.joints).all(axis=1) & np.isfinite(tension + data.travel + speed) & (tension > MIN_TENSION_N)
     if used.sum() < MIN_ROWS:
@@ -87,7 +87,7 @@ def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: Fit, joint
     nominal = problem.nominal[NAMES.index("tendon_stiffness")]
     noise = np.hypot(
         joint_noise * float(np.linalg.norm(digit.moment_arms[tendon])),
-        problem.sigma / (2 * REACH + 1) ** 0.5 / nominal,
+        problem.sigma / (2 * SAMPLES_EACH_SIDE + 1) ** 0.5 / nominal,
     )
     knots = problem.knots
     own = 3
@@ -99,7 +99,9 @@ def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: Fit, joint
         expected = z[1] * excursion + stretch + offset + moving + z[2] * SKEW_S * speed
         # The offset follows the drift of the load cell, a random walk.
         steps = np.diff(z[own:]) * SCALE_OFFSET_M * nominal / problem.step
-        prior = np.array([(z[0] - 1.0) / VAGUE, (z[1] - 1.0) / VAGUE, z[2], z[own] / 10.0])
+        prior = np.array(
+            [(z[0] - 1.0) / DEFAULT_PRIOR_DEVIATION, (z[1] - 1.0) / DEFAULT_PRIOR_DEVIATION, z[2], z[own] / 10.0]
+        )
         return np.concatenate([(travel - expected) / noise, steps, prior])
 
     start = np.concatenate([np.ones(2), np.zeros(1 + len(knots))])

@@ -13,9 +13,9 @@ from scipy.signal import coherence
 from handctl.core.identified import UNITS
 from handctl.hand.description import Hand
 from handctl.tune.identify.data import Array, TendonData
-from handctl.tune.identify.fit import INFORMED, NAMES, SCALE_DELAY_S, Fit
+from handctl.tune.identify.fit import MAX_HALF_WIDTH, NAMES, SCALE_DELAY_S, Fit
 
-CORRELATED = 0.95
+MAX_CORRELATION = 0.95
 """Correlation above which two parameters are reported as trading off."""
 SEGMENTS = 6
 """Number of parts of the excitation over which coherence is averaged.
@@ -79,18 +79,18 @@ def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiab
             *_never_identifiable(fit, hand, tendon),
         ),
         # A singular direction counts if its own 95 % interval would count as identified.
-        rank=int((1.96 / np.maximum(sizes, 1e-12) < INFORMED).sum()),
+        rank=int((1.96 / np.maximum(sizes, 1e-12) < MAX_HALF_WIDTH).sum()),
         columns=len(NAMES),
         condition=float(sizes[0] / max(sizes[-1], 1e-12)),
         weakest=_combination_text(directions[-1]),
-        correlated=tuple(pair for pair in pairs if abs(pair[2]) > CORRELATED),
+        correlated=tuple(pair for pair in pairs if abs(pair[2]) > MAX_CORRELATION),
     )
 
 
 def _is_narrow(name: str, value: float, width: float) -> bool:
     """Return True if an interval is narrow enough to be useful. The scale of a delay is a millisecond."""
     scale = SCALE_DELAY_S if name == "delay" else abs(value)
-    return bool(width < INFORMED * scale)
+    return bool(width < MAX_HALF_WIDTH * scale)
 
 
 def _is_excited(jacobian: Array, name: str) -> bool:
@@ -103,8 +103,8 @@ def _reason_not_identified(jacobian: Array, name: str) -> str:
     if not _is_excited(jacobian, name):
         return "no data depend on this parameter"
     if name == "delay":
-        return f"the 95 % interval is wider than {1e3 * INFORMED * SCALE_DELAY_S:g} ms to either side"
-    return f"the 95 % interval is wider than {100 * INFORMED:.0f} % of the value to either side"
+        return f"the 95 % interval is wider than {1e3 * MAX_HALF_WIDTH * SCALE_DELAY_S:g} ms to either side"
+    return f"the 95 % interval is wider than {100 * MAX_HALF_WIDTH:.0f} % of the value to either side"
 
 
 def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, str]:

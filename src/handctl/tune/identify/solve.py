@@ -23,7 +23,7 @@ STEPS = 40
 
 If more are needed, the data do not determine the parameters.
 """
-OUTLIER = 2.5
+OUTLIER_RESIDUAL = 2.5
 """Residual above which a row gets less weight [standard deviations], for example in an unexpected contact."""
 BLOCK_S = 0.25
 """Length of the blocks of time [s]. Residuals of different blocks count as independent."""
@@ -68,9 +68,9 @@ def solve_least_squares(
     """
     run = partial(least_squares, x_scale="jac", bounds=bounds, max_nfev=STEPS)
     # A soft L1 loss limits the pull of outliers in the first round.
-    first = run(residuals, start, loss="soft_l1", f_scale=OUTLIER)
+    first = run(residuals, start, loss="soft_l1", f_scale=OUTLIER_RESIDUAL)
     weight = np.ones_like(first.fun)
-    weight[: len(times)] = np.abs(first.fun[: len(times)]) < 2.0 * OUTLIER
+    weight[: len(times)] = np.abs(first.fun[: len(times)]) < 2.0 * OUTLIER_RESIDUAL
 
     def weighted(z: Array) -> Array:
         return residuals(z) * weight

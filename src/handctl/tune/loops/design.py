@@ -48,7 +48,7 @@ MIN_FORCE_N = 0.2
 """Smallest authority of the search [N]."""
 MAX_FORCE_N = 400.0
 """Largest authority of the search [N]."""
-STRIDE = math.log(1.7)
+LOG_FORCE_STEP = math.log(1.7)
 """Step of the search, in the natural logarithm of the force."""
 STEPS = 5
 """Number of bisections of the last step, for an accuracy of two per cent."""
@@ -62,7 +62,7 @@ FORCE_RATIO = 2.0
 """Ratio of a tendon's authority to that of all tendons above which the tendon gets a force of its own."""
 FORCE_DIGITS = 3
 """Significant digits of a designed force, rounded down."""
-REJECTION = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
+REJECTION_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
 """Fractions of disturbance rejection to try, largest first.
 
 With the filter of some hands, large fractions leave no margin.
@@ -304,7 +304,7 @@ def design_gains(
             test.
     """
     unproven = False
-    for rejection in REJECTION:
+    for rejection in REJECTION_FRACTIONS:
         if rejection > model.gains.motion.disturbance_rejection:
             continue
         candidate = _with_most_authority(_with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants)
@@ -334,7 +334,7 @@ def _with_less_and_less_authority(model: HandModel, plants: tuple[PlantFactors, 
     """Yield the gains, then gains with decreasing authority that keep the margins."""
     yield model
     for step in range(1, RETREATS + 1):
-        less = _with_scaled_forces(model, math.exp(-step * STRIDE))
+        less = _with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
         if keeps_required_margins(less, plants):
             yield less
 
@@ -390,7 +390,7 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
             best = at
         elif best is not None:
             break
-        at += STRIDE
+        at += LOG_FORCE_STEP
     if best is None:
         return None
     high = min(at, math.log(MAX_FORCE_N))

@@ -61,7 +61,7 @@ DEVELOPED_N = 1e4
 
 The expectation is then at the edge of the band.
 """
-INSIDE = 0.1
+MIN_LIMIT_DISTANCE = 0.1
 """Smallest distance of the operating point from the limits of a joint, as a fraction of the range."""
 CONSTANT_TOLERANCE = 1e-9
 """Largest coefficient with which other states may act on a state that counts as constant."""
@@ -383,7 +383,7 @@ def _half_closed(digit: DigitModel) -> Matrix:
     high = digit.joint_max
     position: Matrix = digit.joints_to_coordinates @ np.full(digit.joint_count, ANGLE_RAD)
     joints = digit.coupling @ position
-    margin = INSIDE * (high - low)
+    margin = MIN_LIMIT_DISTANCE * (high - low)
     if np.all(joints >= low + margin) and np.all(joints <= high - margin):
         return position
     count = digit.coupling.shape[1]

@@ -27,7 +27,7 @@ HOLD_TENSION_N = 30.0
 """Tension before the tension step [N]."""
 STEP_N = 10.0
 """Step of the tension [N]."""
-OSCILLATING = 1e-3
+OSCILLATION_ANGLE_RAD = 1e-3
 """Smallest angle of an eigenvalue that counts as oscillating [rad per tick], 0.08 Hz at 500 Hz."""
 REST_S = 0.5
 """Duration of the rest after a step [s]."""
@@ -160,7 +160,7 @@ def is_ringing(model: HandModel, factors: PlantFactors) -> bool:
     for i in unlike_tendons(model):
         system = open_loop(model, i, LoopKind.TENSION, factors)
         poles = np.linalg.eigvals(system.A - system.B @ system.C)
-        size = float(np.abs(poles[np.abs(np.angle(poles)) > OSCILLATING]).max(initial=0.0))
+        size = float(np.abs(poles[np.abs(np.angle(poles)) > OSCILLATION_ANGLE_RAD]).max(initial=0.0))
         if not size < 1.0 or STEP_N * size**ticks > MAX_HOLD_SWING_N:
             return True
     return False

@@ -9,7 +9,7 @@ from handctl.drives.frame_time import frame_time_s
 from handctl.view.scene.arrow import Floats
 from handctl.view.scene.run_info import RunInfo
 
-LONGEST = 64
+MAX_PAYLOAD = 64
 """Largest payload of a frame [bytes]."""
 SPAN_NS = 100_000_000
 """Window of the load [ns].
@@ -34,7 +34,7 @@ class FrameLoad:
         seconds = [
             [
                 [
-                    [frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, extended) for size in range(LONGEST + 1)]
+                    [frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, extended) for size in range(MAX_PAYLOAD + 1)]
                     for extended in (False, True)
                 ]
                 for fd in (False, True)
@@ -73,7 +73,7 @@ class FrameLoad:
         flat = frames.flatten()
         names = ("bus", "flags", "length", "can_id")
         bus, flags, size, can_id = (np.asarray(flat.field(name)).astype(np.intp) for name in names)
-        valid = (bus < len(self._times)) & (size <= LONGEST)
+        valid = (bus < len(self._times)) & (size <= MAX_PAYLOAD)
         tick = tick[valid]
         bus = bus[valid]
         flags = flags[valid]
