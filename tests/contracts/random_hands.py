@@ -35,13 +35,15 @@ FREE_TICKS = 10
 LOST, DOUBLE, BROKEN, SKIPPED = 0.03, 0.02, 0.02, 0.03
 """Fractions of frames that are lost, come twice or have another payload, and of ticks that are skipped."""
 BUSES, ON_A_BUS = ("main", "second"), 12
+CARRIED = 0.3
+"""Fraction of digits that the digit before carries."""
 Random = np.random.Generator
 
 
 def random_hand(tendons: int, random: Random) -> Hand:
     """Return a hand with a number of tendons.
 
-    A digit has a tendon for each joint, one tendon, or one tendon more than joints.
+    A digit has a tendon for each joint, one tendon, or one tendon more than joints. Some digits are mounted on others.
     """
     raw = hand_content("jamia11")
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
@@ -53,6 +55,11 @@ def random_hand(tendons: int, random: Random) -> Hand:
         kinds = [arms for arms in _arms(digit_joints, radii) if len(arms) <= left]
         arms = kinds[int(random.integers(len(kinds)))]
         digits.append(_digit(finger, name, size, len(arms) == 1 < size, random))
+        if len(digits) > 1 and random.random() < CARRIED:
+            # The tendons pass a joint of the carrier at a distance from its axis.
+            carrier = digits[-2]["name"]
+            digits[-1]["mount_on"] = carrier
+            arms = [arm | {f"{carrier}_j1": float(random.uniform(1e-3, 5e-3))} for arm in arms]
         joints += digit_joints
         for moment_arm in arms:
             varied = {

@@ -161,10 +161,17 @@ def load_statics(
     return LoadStatics(*_load_forces(state.block, state.layout.places, *constants(model)))
 
 
+@kernel("constants", "layout", "vector", "count")
+def _efficiency(of: Block, of_at: Places, q: np.ndarray, tendons: int) -> np.ndarray:
+    result = np.empty(tendons)
+    for n in range(tendons):
+        result[n] = winding_efficiency(constant_tables(of, of_at), n, q)
+    return result
+
+
 def efficiency(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the fraction of each tension (N,) that acts at the joints while winding, at joint angles (J,) [rad]."""
-    of = constant_tables_of(model)
-    return np.array([interpreted(winding_efficiency)(of, n, q) for n in range(model.tendon_count)])
+    return np.asarray(_efficiency(*constants(model), np.asarray(q, dtype=np.float64), model.tendon_count))
 
 
 def exact_estimate(model: HandModel, x: np.ndarray) -> Estimate:

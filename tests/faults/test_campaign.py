@@ -25,9 +25,11 @@ from handctl.campaign.scenarios import (
 from handctl.campaign.stage import FREE_S, advance_to, hand_with_protocol, homed_run, run_in_branches
 from handctl.cli.studies.fault_campaign import default_rate
 from handctl.core.types import Event, Mode
+from handctl.hand.load import load_hand
 from handctl.safety.action import Action
 from handctl.safety.faults.tendon import RELAXED_S
 from handctl.session.simulate import Simulation
+from tests.hand.wrist import on_wrist
 
 RATE_HZ = 500.0
 SAMPLE = ("N08", "H13")
@@ -40,6 +42,16 @@ def report():
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None, row_ids=SAMPLE,
     )  # fmt: skip
+
+
+def test_a_load_cell_fails_only_where_one_is():
+    """The campaign asked the simulator to saturate the load cell of a spool pair, and ended with its traceback."""
+    for hand in (on_wrist("jamia"), load_hand("orca_like")):
+        cells = set(hand.sensor_node.tendons)
+        found = [*scenarios(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
+        texts = [text for one in found for text in (one.fault, one.second) if "cell=" in text]
+        assert bool(texts) == bool(cells)
+        assert {text.partition("cell=")[2].split()[0] for text in texts} <= cells
 
 
 def test_every_scenario_takes_effect_and_is_answered_in_time(report):

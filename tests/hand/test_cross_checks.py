@@ -9,6 +9,7 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.load import hand_content, hand_from_content
+from tests.hand.wrist import on_wrist
 
 JAMIA = hand_content("jamia")
 
@@ -276,9 +277,9 @@ CASES = {
     ),
     "tendon of two digits": (
         tension(moment_arm_m={"index_j1": 0.003, "ring_j1": 0.003}),
-        "tendon[index_tendon].moment_arm_m: moves 2 digits; expected joints of one digit",
+        "tendon[index_tendon].moment_arm_m: moves index and ring; expected joints of one digit, ",
     ),
-    "tendon of no digit": (tension(moment_arm_m={}), "tendon[index_tendon].moment_arm_m: moves 0 digits"),
+    "tendon of no digit": (tension(moment_arm_m={}), "tendon[index_tendon].moment_arm_m: moves no digit"),
     "moment arm as a polynomial": (
         tension(moment_arm_m={"index_j1": [0.003, 1e-4]}),
         "tendon[index_tendon].moment_arm_m.index_j1: [0.003, 0.0001]; expected a number from -0.05 to 0.05 m, "
@@ -340,3 +341,34 @@ def test_value_at_its_limit_is_accepted():
     digit["link_inertia_kg_m2"][0] = float(np.nextafter(mass * length**2, 1.0))
     with pytest.raises(ConfigError, match=r"expected at most mass x length\^2 = 5\.75e-06 kg m2"):
         hand_from_content(content, "own.toml")
+
+
+def on_a_wrist(edit):
+    """An edit of jamia on a wrist."""
+
+    def change(content):
+        content.update(copy.deepcopy(on_wrist("jamia").content))
+        edit(content)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("arms", "line"),
+    [
+        (
+            {"index_j1": 0.003, "middle_j1": 0.003},
+            "tendon[index_tendon].moment_arm_m: moves index and middle; "
+            "expected joints of one digit, and of digits that carry it (mount_on)",
+        ),
+        (
+            {"index_j1": 0.003, "wrist_j1": {"polynomial_m": [0.003, 0.0005]}},
+            "tendon[index_tendon].moment_arm_m.wrist_j1: an arm that depends on the angle; "
+            "expected a number: index is carried by this joint",
+        ),
+    ],
+)
+def test_a_tendon_passes_only_carriers_of_its_digit(edited, arms, line):
+    index = {"moment_arm_m": arms}
+    found = edited(on_a_wrist(lambda content: content["tendon"][1].update(index)))
+    assert line in found

@@ -212,7 +212,7 @@ def test_a_reading_that_is_missing_after_skipped_ticks_may_be_further_off_by_the
 
 def add_reading(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[int, float, float]:
     """Add a reading of an encoder. Return the ticks without a change, and the motion of target and tension since."""
-    rows: Rows = {"measured_travel": value, "followed": goal, "residual": {TENSION: tension}}
+    rows: Rows = {"measured_position": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
     away = [call_interpreted(stuck.motion_since_reading, *pair) for pair in zip((goal, tension), anchor, strict=True)]

@@ -274,7 +274,8 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     """Return all pairs of the rows for pairs, in a grasp.
 
     The fault with the more severe reaction comes first. The other fault comes a few ticks later on
-    another instance. The control period is in ms.
+    another instance. A row without an instance in the hand, such as a load cell, has no pair. The control
+    period is in ms.
     """
     rows = [next(row for row in MATRIX if row.id == id_ and protocol in row.protocols) for id_ in PAIRED_ROWS]
     selected = []
@@ -282,9 +283,10 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
         for second in rows[i + 1 :]:
             # The required reaction is that of the stronger action.
             main, other = (first, second) if first.action >= second.action else (second, first)
-            text = texts_of_fault(hand, main.fault, period_ms)[0]
-            second_text = texts_of_fault(hand, other.fault, period_ms)[-1]
-            selected.append(Scenario(main, text, GRASP, second_text))
+            texts = texts_of_fault(hand, main.fault, period_ms)
+            second_texts = texts_of_fault(hand, other.fault, period_ms)
+            if texts and second_texts:
+                selected.append(Scenario(main, texts[0], GRASP, second_texts[-1]))
     return selected
 
 
@@ -308,6 +310,7 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     """
     if "{tendon}" in fault:
         limited = "{trip}" in fault or "{limit}" in fault
+        of_cell = "cell={tendon}" in fault
         return [
             {
                 "tendon": tendon.name,
@@ -315,6 +318,7 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
                 "limit": f"{tendon.drive_limit_N:g}",
             }
             for tendon in hand.tendon
+            if not of_cell or tendon.name in hand.sensor_node.tendons
             # A trip near the rail of the load cell would be reported as saturation.
             if not limited or tendon.tension_trip_N < READABLE_N
         ]

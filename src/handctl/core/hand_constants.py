@@ -113,7 +113,7 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "drift_fraction": -math.expm1(-model.period / contact.DRIFT_S),
         "fast_fraction": -math.expm1(-model.period / contact.FAST_GRIP_S),
         "slow_fraction": -math.expm1(-model.period / contact.SLOW_GRIP_S),
-        "arms_sum": np.abs(model.hand.moment_arms).sum(axis=1),
+        "arms_sum": np.abs(model.hand.own_arms).sum(axis=1),
     }
 
 
@@ -185,7 +185,9 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
     return {
         "excursion_to_joints": model.excursion_to_joints,
         "moves": size > MIN_MOTION * size.max(initial=0.0),
-        "moment_arms": model.hand.moment_arms,
+        "moment_arms": model.hand.own_arms,
+        "carrier_arms": model.hand.carrier_arms,
+        "hand_passed": bool(model.hand.carrier_arms.any()),
         "varying": model.hand.has_varying_arm,
         "digit_varying": [digit.has_varying_arm for digit in digits],
         "hand_varying": bool(model.hand.has_varying_arm.any()),
@@ -204,7 +206,7 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
 def _posture_constants(model: HandModel) -> dict[str, object]:
     digits = model.digits
     hand = model.hand
-    arms = model.hand.moment_arms
+    arms = model.hand.own_arms
     sizes = [digit.joint_count for digit in digits]
     compliance = block_diag(*(_compliance(digit) for digit in digits))
     spread = block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))

@@ -102,7 +102,7 @@ class HandModel:
         digits = tuple(DigitModel.of(hand, digit.name) for digit in hand.digit)
         space = tendon_space(hand, digits)
         tendons = hand.tendon
-        arms = np.abs(hand.moment_arms)
+        arms = np.abs(hand.own_arms)
         period = 1.0 / rate_hz
         filters = design_filter(space, gains.filter, period, _joint_period(hand, period))
         margin = np.where(hand.has_cell, 0.0, BLIND_SIGMAS * filters.held_sigma)

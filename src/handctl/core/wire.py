@@ -18,6 +18,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables, state_tables
 from handctl.core.constants import ConstantTables, constant_tables
+from handctl.core.estimation.structure import carrier_excursion
 from handctl.core.schema import Block, Places
 from handctl.drives.contract import Drive
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
@@ -257,7 +258,10 @@ def _is_nearer(x: Tables, c: ConstantTables, n: Any, position: float) -> bool:
 
     The expectation is for the time of the request. Without a filter the later position counts.
     """
-    expected = x.tendon[s.TRAVEL, n] / c.tendon[h.SPOOL, n] + c.tendon[h.ZERO, n]
+    travel = x.tendon[s.TRAVEL, n]
+    if c.run_int[h.HAND_PASSED]:
+        travel += carrier_excursion(c, n, x.joint[s.Q])
+    expected = travel / c.tendon[h.SPOOL, n] + c.tendon[h.ZERO, n]
     return not abs(position - expected) > abs(x.tendon[s.POSITION, n] - expected)
 
 

@@ -135,6 +135,27 @@ class Hand(Section):
         return arms
 
     @cached_property
+    def own_arms(self) -> NDArray[np.float64]:
+        """Return the moment arms of each tendon about the joints of its own digit, (N, J) [m], read-only."""
+        own = np.zeros_like(self.moment_arms)
+        for name, tendons in self.digit_tendons.items():
+            joints = self.digit_joints[name]
+            own[tendons, joints] = self.moment_arms[tendons, joints]
+        own.setflags(write=False)
+        return own
+
+    @cached_property
+    def carrier_arms(self) -> NDArray[np.float64]:
+        """Return the moment arms of each tendon about joints that carry its digit, (N, J) [m], read-only.
+
+        The tendons of a finger pass the wrist. Where they do not pass it in its axis, they turn the wrist, and the
+        wrist winds them up.
+        """
+        arms = self.moment_arms - self.own_arms
+        arms.setflags(write=False)
+        return arms
+
+    @cached_property
     def arm_polynomials(self) -> NDArray[np.float64]:
         """Return the moment arms as polynomials, (N, J, quantities.COEFFICIENTS), read-only."""
         rows = [[polynomial_of(tendon.moment_arm_m.get(joint, 0.0)) for joint in self.joints] for tendon in self.tendon]
@@ -157,7 +178,7 @@ class Hand(Section):
     def covered(self) -> NDArray[np.bool_]:
         """Return True for each tendon whose joints all have encoders, (N,)."""
         measured = np.array([joint in self.sensor_node.joints for joint in self.joints])
-        return np.asarray(~((self.moment_arms != 0.0) & ~measured).any(axis=1))
+        return np.asarray(~((self.own_arms != 0.0) & ~measured).any(axis=1))
 
     @cached_property
     def digit_joints(self) -> dict[str, slice]:
@@ -177,6 +198,25 @@ class Hand(Section):
         """Return the names of digits that carry other digits."""
         return frozenset(digit.mount_on for digit in self.digit if digit.mount_on is not None)
 
+    def carriers_of(self, digit: str) -> tuple[str, ...]:
+        """Return the names of the digits that carry a digit, the nearest first."""
+        carrier = self.digit_named(digit).mount_on
+        # A file with a circle of digits is refused, but only after this function has been called.
+        found: list[str] = []
+        while carrier in self.digit_names and carrier not in found:
+            found.append(carrier)
+            carrier = self.digit_named(carrier).mount_on
+        return tuple(found)
+
+    def digit_of_tendon(self, tendon: Tendon) -> str | None:
+        """Return the digit that a tendon moves: the one of which all others that the tendon crosses are carriers.
+
+        None if there is no such digit.
+        """
+        crossed = [digit.name for digit in self.digit if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
+        outermost = [name for name in crossed if {name, *self.carriers_of(name)} >= set(crossed)]
+        return outermost[0] if outermost else None
+
     def base_link(self, digit: Digit) -> str:
         """Return the name of the link that carries a digit: ``palm``, or the last link of another digit."""
         if digit.mount_on is None:
@@ -186,8 +226,8 @@ class Hand(Section):
     @cached_property
     def digit_tendons(self) -> dict[str, slice]:
         """Return the slice of each digit in ``tendon``."""
-        crossed = [set(tendon.moment_arm_m) for tendon in self.tendon]
-        counts = [sum(not joints.isdisjoint(digit.joints) for joints in crossed) for digit in self.digit]
+        moved = [self.digit_of_tendon(tendon) for tendon in self.tendon]
+        counts = [moved.count(digit.name) for digit in self.digit]
         return dict(zip(self.digit_names, _slices(counts), strict=True))
 
     @cached_property

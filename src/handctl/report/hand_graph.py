@@ -123,7 +123,7 @@ def _label(tendon: Tendon) -> str:
     """Return the name of a tendon, for a spool pair with its pretension."""
     if tendon.pretension_N is None:
         return tendon.name
-    return f"{tendon.name} and its antagonist, {tendon.pretension_N:g} N"
+    return f"{tendon.name}, pair, {tendon.pretension_N:g} N"
 
 
 def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:

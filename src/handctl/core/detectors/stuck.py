@@ -38,7 +38,8 @@ def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
         tared: True if the load cells' zero is known.
     """
     for n in range(x.tendon.shape[1]):
-        value = x.tendon[s.MEASURED_TRAVEL, n]
+        # Not the travel, from which the moving angle of a carrier is subtracted.
+        value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL, n]
         last = x.tendon[s.MOTOR_VALUE, n]
         moved = not math.isnan(value) and value != last
         goal = x.tendon[s.FOLLOWED, n]

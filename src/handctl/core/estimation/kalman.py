@@ -19,11 +19,13 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation import covariance as carried
 from handctl.core.estimation.statics import (
+    subtract_passing_torque,
     value_from_other_tendons,
     write_static_torque,
     write_tensions_at_joints,
     write_tensions_for_torque,
 )
+from handctl.core.estimation.structure import motor_speed
 from handctl.core.estimation.take_up import (
     is_nearly_taut,
     is_regime_over,
@@ -344,17 +346,18 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     torque = np.zeros(joints)
     write_free_angles(x, c, s.EXCURSION, q)
     write_static_torque(c, q, torque)
-    write_tensions_for_torque(c, torque, force[0])
     tension = np.empty(count)
     quick = np.empty(count)
     developed = np.empty(count)
     better = False
     for n in range(count):
         tension[n] = filtered_tension(x, c, n)
-        quick[n] = math.tanh(x.tendon[s.SPEED, n] / CAPSTAN_FRICTION_SPEED)
+        quick[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED)
         friction_state = x.tendon[s.FRICTION_STATE, n]
         developed[n] = quick[n] if math.isnan(friction_state) else friction_state
         better |= developed[n] != quick[n]
+    subtract_passing_torque(c, q, tension, developed if better else quick, torque)
+    write_tensions_for_torque(c, torque, force[0])
     write_tensions_at_joints(c, q, tension, quick, force[1])
     write_tensions_at_joints(c, q, tension, developed if better else quick, force[2])
     return force

@@ -10,7 +10,8 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.structure import joint_excursion
+from handctl.core.estimation.kalman import write_free_angles
+from handctl.core.estimation.structure import carrier_excursion, joint_excursion
 
 
 @inner
@@ -116,6 +117,9 @@ def convert_positions(x: Tables, c: ConstantTables) -> None:
     for n in range(x.tendon.shape[1]):
         spool = c.tendon[h.SPOOL, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
+        if c.run_int[h.HAND_PASSED]:
+            # The estimate of the last tick is for the time of this measurement.
+            x.tendon[s.MEASURED_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
         # A drive reports the torque that it believes to make, as it was told. Its motor makes ``TORQUE_GAIN`` of it.
         made = x.tendon[s.REPORTED, n] * c.tendon[h.TORQUE_GAIN, n]
@@ -156,6 +160,10 @@ def start_filter(x: Tables, c: ConstantTables) -> None:
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
         x.tendon_int[s.STOPPED, n] = c.tendon_int[h.SPRUNG, n]
         x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.ZERO, n]) * c.tendon[h.SPOOL, n]
+        if c.run_int[h.HAND_PASSED]:
+            # Carriers come before the digits that they carry.
+            write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
+            x.tendon[s.TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         if c.tendon_int[h.PAIR, n]:
             x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # the spool holds the joint, without net tension
     x.run_int[s.STARTED] = 1

@@ -26,7 +26,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.statics import link_poses_of_hand, write_static_torque, write_tip_levers
+from handctl.core.estimation.statics import first_wrap, link_poses_of_hand, write_static_torque, write_tip_levers
 from handctl.core.estimation.structure import keep_excursion
 from handctl.hand.rigid_body import LENGTH, write_levers, write_turned_levers
 
@@ -99,6 +99,10 @@ def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]
     for n in range(tendons):
         stretch = square(x.tendon[s.TENSION, n] * STIFFNESS_ERROR_FRACTION) + square(x.tendon[s.SIGMA, n])
         variance = c.tendon[h.EXCURSION_VARIANCE, n] + stretch / square(c.tendon[h.STIFFNESS, n])
+        if c.run_int[h.HAND_PASSED]:
+            # The error of the carrier's angle, whose tendons come before.
+            for j in range(joints):
+                variance += square(c.tendon_joint[h.CARRIER_ARMS, n, j]) * total[j]
         excursion = math.sqrt(variance)
         for j in range(joints):
             spread[j, n] = c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * excursion
@@ -252,7 +256,7 @@ def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
     write_static_torque(c, x.joint[s.Q], torque[1])
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT, n]
-        wrapped = c.tendon[h.WRAP, n]
+        wrapped = first_wrap(c, n, x.joint[s.Q])
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:

@@ -40,6 +40,49 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 
 @inner
+def subtract_passing_torque(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, torque: Vector) -> None:
+    """Subtract the torques of passing tendons from the joint torques (J,) that the carriers' own tendons must make.
+
+    Args:
+        c: constants of the hand.
+        q: (J,) joint angles [rad].
+        tension: (N,) at the load cells [N].
+        developed: (N,) development of friction, 1 winding, -1 paying out.
+        torque: (J,) modified in place [N m].
+    """
+    if not c.run_int[h.HAND_PASSED]:
+        return
+    for n in range(len(tension)):
+        wrapped = c.tendon[h.WRAP, n]
+        for j in range(len(q)):
+            arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
+            if arm != 0.0:
+                wrapped += q[j]
+                passed = math.exp(-c.tendon[h.CAPSTAN, n] * developed[n] * wrapped)
+                if c.tendon_int[h.PAIR, n]:
+                    torque[j] -= arm * net_tension_at_joint(tension[n], c.tendon[h.PRETENSION, n], passed)
+                else:
+                    torque[j] -= arm * tension[n] * passed
+
+
+@inner
+def first_wrap(c: ConstantTables, n: int, q: Vector) -> float:
+    """Return the wrap angle of tendon n before the joints of its digit [rad].
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        q: (J,) joint angles [rad].
+    """
+    wrapped = c.tendon[h.WRAP, n]
+    if c.run_int[h.HAND_PASSED]:
+        for j in range(len(q)):
+            if c.tendon_joint[h.CARRIER_ARMS, n, j] != 0.0:
+                wrapped += q[j]
+    return wrapped
+
+
+@inner
 def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> None:
     """Write the levers (J,) [m] of a force at a digit's tip about its joints, see ``rigid_body.write_levers``."""
     last = c.digit_int[h.JOINTS_END, d] - 1
@@ -74,7 +117,7 @@ def write_tensions_at_joints(c: ConstantTables, q: Vector, tension: Vector, deve
     torque = np.zeros(len(q))
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT, n]
-        wrapped = c.tendon[h.WRAP, n]
+        wrapped = first_wrap(c, n, q)
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
@@ -141,7 +184,7 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
         q: (J,) joint angles [rad].
     """
     d = c.tendon_int[h.DIGIT, n]
-    wrapped = c.tendon[h.WRAP, n]
+    wrapped = first_wrap(c, n, q)
     efficiency = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:

@@ -6,6 +6,12 @@ e(q0) = s. Around q0 the excursion is e(q0) + R (q - q0), so that linear relatio
 constant arms the offsets are 0 and the tables stay as they are. The tables follow from the state alone:
 they are evaluated before each use in a tick, so that a tick from a stored state gives the same result.
 
+Tendons of a finger pass the wrist that carries it. Where they do not pass it in its axis, the wrist winds them up and
+they turn the wrist. Both are known, from the estimate of the wrist's angle and from the tension. The travel of such a
+tendon is counted without the part of its carriers (``carrier_excursion``). Filter, goals and detectors of its digit are
+then those of a digit on a base at rest. The tendons of the wrist bear the torque of the tendons that pass it
+(``statics.subtract_passing_torque``).
+
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
 """
 
@@ -59,6 +65,32 @@ def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
     for order in range(COEFFICIENTS - 1, -1, -1):
         value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] / (order + 1.0)
     return value * held + moment_arm(c, n, j, held) * (q - held)
+
+
+@inner
+def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
+    """Return the excursion of tendon n by its carriers' joints, or its rate [m, m/s].
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        values: (J,) angles or rates of the joints [rad, rad/s]. A joint of unknown angle (NaN) counts as 0.
+    """
+    total = 0.0
+    for j in range(len(values)):
+        arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
+        if arm != 0.0 and not math.isnan(values[j]):
+            total += arm * values[j]
+    return total
+
+
+@inner
+def motor_speed(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return the speed of a tendon at its spool [m/s]: that of its digit, and that of its carriers."""
+    speed = x.tendon[s.SPEED, n]
+    if c.run_int[h.HAND_PASSED]:
+        speed += carrier_excursion(c, n, x.joint[s.DQ])
+    return speed
 
 
 @inner

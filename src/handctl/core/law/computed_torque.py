@@ -26,7 +26,7 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
-from handctl.core.estimation.structure import arm_slope, joint_excursion, moment_arm
+from handctl.core.estimation.structure import arm_slope, carrier_excursion, joint_excursion, moment_arm, motor_speed
 from handctl.core.estimation.take_up import SLACK, SLACK_BELOW_N
 from handctl.core.estimation.touch import MAX_PRESS_N
 from handctl.core.law.friction_band import predict_moving_tension
@@ -141,13 +141,15 @@ def write_motor_torques(
         ticks: periods since the last tick, 1 without missed ticks.
     """
     limit = present_tension_limits(x, c)
-    joints = x.joint.shape[1]
     count = x.tendon.shape[1]
     load = np.zeros(count)
     winding, terms, internal = _motion_terms(x, c, way, limit)
     for n in range(count):
         kind = x.tendon_int[s.GOAL_KIND, n]
         _, rate, acceleration = _goal_along_tendon(c, n, way)
+        carried_rate, carried_acceleration = _goal_of_carriers(c, n, way)
+        rate += carried_rate
+        acceleration += carried_acceleration
         force = 0.0
         x.tendon[s.TENSION_GOAL, n] = math.nan
         setpoint = x.tendon[s.TENSION, n]
@@ -160,6 +162,7 @@ def write_motor_torques(
             load[n] = x.tendon[s.LOAD, n]
         if kind == TENSION:
             force, setpoint, integral = _tension_force(x, c, n, limit[n])
+            force += _force_for_carriers(c, n, carried_rate, carried_acceleration)
             load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
         if kind != LIMP:
             force += x.tendon[s.TRIM, n]
@@ -174,6 +177,10 @@ def write_motor_torques(
                 x, c, n, command_force, _relaxing_force_limit(x, c, n, relax_rate, ticks), open_loop
             )
         x.tendon[s.FORCE, n] = command_force - _motor_friction(x, c, n, command_force)
+        if c.run_int[h.HAND_PASSED]:
+            # The filter counts travel without the carriers' part. Its motor lacks the force that turns with them.
+            x.tendon[s.FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried_acceleration
+            x.tendon[s.FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(c, n, x.joint[s.DQ])
         x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL, n]
         x.tendon[s.SETPOINT, n] = setpoint
         x.tendon[s.INTEGRAL, n] = integral
@@ -183,16 +190,33 @@ def write_motor_torques(
             x.tendon[s.PLANNED, n] = x.tendon[s.RATE, n] = 0.0
             x.tendon[s.FRICTION_STATE, n] = math.nan
     _fade_trim(x, c)
+    _write_joint_torques(x, c, way, load)
+
+
+@inner
+def _write_joint_torques(x: Tables, c: ConstantTables, way: Matrix, load: Vector) -> None:
+    """Write the joint torques of the tensions (N,) [N], and the goals of joints on a trajectory.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        load: (N,) tensions at the joints [N].
+    """
+    joints = x.joint.shape[1]
     for j in range(joints):
         x.joint[s.JOINT_TORQUE, j] = 0.0
         x.joint[s.Q_GOAL, j] = x.joint[s.DQ_GOAL, j] = math.nan
-    for n in range(count):
+    for n in range(len(load)):
         d = c.tendon_int[h.DIGIT, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.MOMENT_ARMS, n, j]
             if x.tendon_int[s.GOAL_KIND, n] == MOTION and c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 x.joint[s.Q_GOAL, j] = way[0, j]
                 x.joint[s.DQ_GOAL, j] = way[1, j]
+        if c.run_int[h.HAND_PASSED]:
+            for j in range(joints):
+                x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.CARRIER_ARMS, n, j]
 
 
 @inner
@@ -236,7 +260,8 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         feedback += x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SPEED_GAIN, n] * (rate - x.tendon[s.SPEED, n])
         counted = c.run[h.FRICTION_FRACTION]
         # Fraction of the tension that passes the pulleys: efficiency winding, about 1 / efficiency paying out.
-        passed = (1.0 - counted) + counted * math.pow(efficiency[n], math.tanh(rate / CAPSTAN_FRICTION_SPEED))
+        winding = math.tanh((rate + _goal_of_carriers(c, n, way)[0]) / CAPSTAN_FRICTION_SPEED)
+        passed = (1.0 - counted) + counted * math.pow(efficiency[n], winding)
         ceiling = min(c.tendon[h.CEILING, n], limit[n])
         if c.tendon_int[h.PAIR, n]:
             required = net_tension_at_spool(x.tendon[s.LOAD, n], c.tendon[h.PRETENSION, n], passed)
@@ -312,6 +337,30 @@ def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, f
 
 
 @inner
+def _goal_of_carriers(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float]:
+    """Return rate [m/s] and acceleration [m/s2] of a tendon by the trajectories of its digit's carriers."""
+    if not c.run_int[h.HAND_PASSED]:
+        return 0.0, 0.0
+    return carrier_excursion(c, n, way[1]), carrier_excursion(c, n, way[2])
+
+
+@inner
+def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: float) -> float:
+    """Return the motor force with which a held tendon follows its digit's carriers [N].
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        rate: of the carriers along the tendon [m/s].
+        acceleration: of the carriers along the tendon [m/s2].
+    """
+    if not c.run_int[h.HAND_PASSED]:
+        return 0.0
+    friction = c.tendon[h.COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
+    return friction + c.tendon[h.MOTOR_DAMPING, n] * rate + c.tendon[h.INERTIA, n] * acceleration
+
+
+@inner
 def _motion_force(
     x: Tables, c: ConstantTables, n: int, tension: float, feedback: float, rate: float, acceleration: float
 ) -> float:
@@ -323,10 +372,10 @@ def _motion_force(
         n: index of the tendon.
         tension: goal at the load cell [N].
         feedback: force by the errors of excursion and speed [N].
-        rate: of the excursion on the trajectory [m/s].
-        acceleration: of the excursion on the trajectory [m/s2].
+        rate: of the tendon at its spool on the trajectories [m/s].
+        acceleration: of the tendon at its spool on the trajectories [m/s2].
     """
-    speed = x.tendon[s.SPEED, n]
+    speed = motor_speed(x, c, n)
     counted = c.run[h.FRICTION_FRACTION]
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
@@ -410,7 +459,7 @@ def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) 
 
     By the implicit midpoint rule: friction can stop a rotor within a period, but not reverse it.
     """
-    coasting = x.tendon[s.SPEED, n] + c.tendon[h.HALF, n] * (command_force - x.tendon[s.TENSION, n])
+    coasting = motor_speed(x, c, n) + c.tendon[h.HALF, n] * (command_force - x.tendon[s.TENSION, n])
     return c.tendon[h.COULOMB, n] * math.tanh(coasting / c.tendon[h.STOPPING, n])
 
 

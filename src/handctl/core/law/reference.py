@@ -1,5 +1,7 @@
 """Reference of each digit at an instant, and the joint torque of the motion."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,8 +10,11 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
+from handctl.core.estimation.statics import subtract_passing_torque
+from handctl.core.estimation.structure import motor_speed
 from handctl.core.law.stream import advance_reference
 from handctl.hand.rigid_body import write_newton_euler
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Matrix = NDArray[np.float64]
 
@@ -142,6 +147,11 @@ def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
     parent = c.joint_int[h.PARENT]
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
     write_newton_euler(c.joint, h.LINK, parent, gravity, motion[0], motion[1], motion[2], torque)
+    if c.run_int[h.HAND_PASSED]:
+        winding = np.zeros(x.tendon.shape[1])
+        for n in range(len(winding)):
+            winding[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED)
+        subtract_passing_torque(c, motion[0], x.tendon[s.TENSION], winding, torque)
     for d in range(x.digit.shape[1]):
         if is_digit_moving(x, c, d):
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):

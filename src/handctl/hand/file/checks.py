@@ -12,7 +12,7 @@ from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.sections import Digit, Motor, Mount, StreamLimits, Tendon
 from handctl.hand.file.sensor_checks import amplifier_identifiers, check_sensor_node
 from handctl.hand.link_bodies import link_inertia
-from handctl.hand.moment_arms import TABLE_DEGREE, arms_at, polynomial_of, table_residual
+from handctl.hand.moment_arms import TABLE_DEGREE, arms_at, is_varying, polynomial_of, table_residual
 
 if TYPE_CHECKING:
     from handctl.hand.description import Hand
@@ -259,17 +259,24 @@ def _check_mounts(hand: Hand) -> Mistakes:
 
 
 def _check_tendon_order(hand: Hand) -> Mistakes:
-    """Check that each tendon moves joints of one digit, and that tendons follow the order of digits."""
+    """Check that each tendon moves one digit and passes its carriers only, and the order of the tendons."""
     latest = 0
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].moment_arm_m"
         for joint in tendon.moment_arm_m:
             yield from _check_arm(hand, tendon, joint)
-        crossed = {i for i, digit in enumerate(hand.digit) if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)}
-        if len(crossed) != 1:
-            yield Mistake(f"moves {len(crossed)} digits", where, "joints of one digit")
+        name = hand.digit_of_tendon(tendon)
+        if name is None:
+            crossed = [digit.name for digit in hand.digit if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
+            right = "joints of one digit, and of digits that carry it (mount_on)"
+            yield Mistake(f"moves {' and '.join(crossed) or 'no digit'}", where, right)
             continue
-        digit = crossed.pop()
+        passed = [joint for joint in tendon.moment_arm_m if joint not in hand.digit_named(name).joints]
+        for joint in passed:
+            if is_varying(tendon.moment_arm_m[joint]):
+                right = f"a number: {name} is carried by this joint"
+                yield Mistake("an arm that depends on the angle", f"{where}.{joint}", right)
+        digit = hand.digit_names.index(name)
         if digit < latest:
             what = f"a tendon of {hand.digit[digit].name} after one of {hand.digit[latest].name}"
             yield Mistake(what, where, "tendons digit by digit, in the order of the digits")

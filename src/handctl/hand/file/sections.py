@@ -244,6 +244,8 @@ class Tendon(Section):
     moment_arm_m: dict[str, qty.MomentArm]
     """Row of R, by joint. The tendon does not cross absent joints. Positive arms flex.
 
+    A tendon crosses joints of one digit, and of digits that carry it, such as a wrist.
+
     An arm that depends on the joint's own angle is ``{ polynomial_m = [r0, r1, ..] }`` with at most six
     coefficients for an angle in rad, or a table ``{ angle_deg = [..], arm_m = [..] }`` over the range of
     the joint, which becomes a least-squares polynomial of degree 3.
