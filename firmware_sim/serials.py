@@ -5,9 +5,9 @@ from dataclasses import replace
 
 from firmware_sim.description import Hand, SimulatorError
 
-BITS = {"mit": 32, "cia402": 32, "odrive": 48, "moteus": 96, "robstride": 64}
+SERIAL_NUMBER_BITS = {"mit": 32, "cia402": 32, "odrive": 48, "moteus": 96, "robstride": 64}
 """Size of the serial number of each protocol [bit]. Other protocols have none."""
-EXPECTED = "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
+EXPECTED_FORM = "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
 """Help text of an error."""
 
 
@@ -30,12 +30,12 @@ def with_serial_numbers(hand: Hand, words: Iterable[str]) -> Hand:
         try:
             number = int(text, 0)
         except ValueError:
-            raise SimulatorError(f"--serial {word}: {EXPECTED}") from None
+            raise SimulatorError(f"--serial {word}: {EXPECTED_FORM}") from None
         named = [motor for motor in hand.motors if not equals or motor.name == name]
         serials |= {motor.name: number if equals else number + motor.node_id for motor in named}
     for motor in hand.motors:
         given = serials[motor.name]
-        if given is not None and not 0 <= given < 1 << BITS.get(motor.protocol, 64):
-            highest = (1 << BITS[motor.protocol]) - 1
+        if given is not None and not 0 <= given < 1 << SERIAL_NUMBER_BITS.get(motor.protocol, 64):
+            highest = (1 << SERIAL_NUMBER_BITS[motor.protocol]) - 1
             raise SimulatorError(f"--serial: {motor.name} would have {given}; expected 0 to {highest:#x}")
     return replace(hand, motors=[replace(motor, serial=serials[motor.name]) for motor in hand.motors])

@@ -64,7 +64,7 @@ class Served(Protocol):
 
     Attributes:
         t_ns: clock of the nodes [ns].
-        slip_ns: time given up [ns].
+        slip_ns: time by which the simulation is behind the wall clock and which it does not catch up [ns].
         foreign: frames that no node handled.
     """
 

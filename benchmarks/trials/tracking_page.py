@@ -119,7 +119,7 @@ def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
 def _against(ratio: float) -> str:
     """Compare the whole law with PD."""
     if not np.isfinite(ratio):
-        return "With PD alone, no run completes the fast motion after the slow and the medium one"
+        return "The motions follow each other, from slow to fast. With PD alone, no run completes the fast motion"
     return (
         f"At the fast motion, the error of the whole control law (row '+ force loop, estimate') is "
         f"{ratio:.1f} times smaller than that of PD alone"

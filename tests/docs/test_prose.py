@@ -22,7 +22,7 @@ def paragraphs(text: str) -> list[str]:
 
 
 def sentences(paragraph: str) -> int:
-    """Count the sentences of a paragraph. A full stop within code or an abbreviation ends none."""
+    """Count the sentences of a paragraph. A full stop within code or an abbreviation does not end a sentence."""
     plain = re.sub(r"\b(?:e\.g|i\.e|Eq|Fig|Sec)\.", "", re.sub(r"`[^`]*`", "x", paragraph))
     return len(re.findall(r"[.!?](?=\s|$|\*|\))", plain))
 

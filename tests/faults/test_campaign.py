@@ -1,4 +1,4 @@
-"""The fault matrix in lockstep: each fault takes effect, the reaction is in time, tensions stay within the physics."""
+"""The fault matrix in lockstep: each fault has an effect, reactions are in time, and physics explains all tensions."""
 
 import contextlib
 import math

@@ -18,7 +18,7 @@ from handctl.programs.streams import StreamStatus
 from handctl.runtime.mailbox import Mailbox
 from handctl.runtime.observations import RING_RECORDS, ObservationReader, ObservationWriter
 from handctl.runtime.paths import observations_path, targets_path
-from handctl.runtime.targets import HEAD, MAGIC, MAX_TARGETS_PER_TICK, READ_PER_TICK, TargetBox, TargetSender
+from handctl.runtime.targets import HEADER, MAGIC, MAX_TARGETS_PER_TICK, READ_PER_TICK, TargetBox, TargetSender
 from handctl.safety.action import Action
 
 AXES = {"joint": 3, "tendon": 2, "motor": 2, "digit": 1}
@@ -197,15 +197,15 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"", b"HCT1", b"x" * 1000, HEAD.pack(b"HCT0", 1, 1, 0, 0, 0), HEAD.pack(MAGIC, 1, 1, 2, 0, 0) + bytes(8),
-        HEAD.pack(MAGIC, 1, 1, 2**32 - 1, 0, 0), HEAD.pack(MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
+        b"", b"HCT1", b"x" * 1000, HEADER.pack(b"HCT0", 1, 1, 0, 0, 0), HEADER.pack(MAGIC, 1, 1, 2, 0, 0) + bytes(8),
+        HEADER.pack(MAGIC, 1, 1, 2**32 - 1, 0, 0), HEADER.pack(MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
     ],
 )  # fmt: skip
 def test_a_datagram_of_another_form_is_dropped(data: bytes) -> None:
     box, sender = TargetBox("local:x", int), TargetSender("local:x", 1, 1)
     sender._socket.send(data)
     assert box.read() == ()
-    sender._socket.send(HEAD.pack(MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0))
+    sender._socket.send(HEADER.pack(MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0))
     assert json.loads(box.read()[0])["values"] == [5.0]
     sender.close()
     box.close()

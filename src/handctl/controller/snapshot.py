@@ -38,7 +38,7 @@ register_types(
     AmplifierState,
 )  # fmt: skip
 
-HEAD = 8
+IDENTITY_BYTES = 8
 """Size of the layout's identity [bytes]."""
 
 
@@ -65,10 +65,10 @@ def restore_state(layout: Layout, data: bytes) -> State:
         ValueError: the data are not a snapshot of such a controller.
     """
     # The block consists of 8-byte numbers.
-    end = HEAD + 8 * layout.size
-    if data[:HEAD] != layout.identity or len(data) < end:
+    end = IDENTITY_BYTES + 8 * layout.size
+    if data[:IDENTITY_BYTES] != layout.identity or len(data) < end:
         raise ValueError(f"a snapshot of {len(data)} bytes of another schema or hand")
-    block = np.frombuffer(data, np.float64, layout.size, HEAD).copy()
+    block = np.frombuffer(data, np.float64, layout.size, IDENTITY_BYTES).copy()
     try:
         decisions = from_plain(json.loads(data[end:]))
     except (TypeError, ValueError, RecursionError) as error:

@@ -28,7 +28,7 @@ from handctl.runtime.mailbox import RIGHT_FOLDER
 from handctl.runtime.paths import observations_path
 
 MAGIC = b"HCOBS001"
-HEAD = struct.Struct("<8sQQQQQ")
+HEADER = struct.Struct("<8sQQQQQ")
 """Start of the file: magic, length of the description, size of a record, records, written so far, end mark."""
 WRITTEN_AT = 32
 ENDED_AT = 40
@@ -92,7 +92,7 @@ class ObservationWriter:
         self._size = 8 + kind.itemsize
         self._written = 0
         text = json.dumps({"axes": dict(axes), **description}).encode()
-        self._ring_at = -(-(HEAD.size + len(text)) // PAGE_BYTES) * PAGE_BYTES
+        self._ring_at = -(-(HEADER.size + len(text)) // PAGE_BYTES) * PAGE_BYTES
         try:
             self.path.unlink(missing_ok=True)
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -109,8 +109,8 @@ class ObservationWriter:
         starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
         self._counters = [np.frombuffer(self._map, COUNTER, 1, start) for start in starts]
         self._numbers = [np.frombuffer(self._map, "<f8", count, start + 8 + _FIXED.size) for start in starts]
-        self._map[HEAD.size : HEAD.size + len(text)] = text
-        HEAD.pack_into(self._map, 0, MAGIC, len(text), self._size, RING_RECORDS, 0, 0)
+        self._map[HEADER.size : HEADER.size + len(text)] = text
+        HEADER.pack_into(self._map, 0, MAGIC, len(text), self._size, RING_RECORDS, 0, 0)
         self._total = np.frombuffer(self._map, COUNTER, 1, WRITTEN_AT)
         self._ended = np.frombuffer(self._map, COUNTER, 1, ENDED_AT)
 
@@ -159,12 +159,12 @@ class ObservationReader:
                 self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except (OSError, ValueError):
             raise BusError("no observations", f"bus {bus}", "a running handctl run") from None
-        if len(self._map) < HEAD.size or self._map[:8] != MAGIC:
+        if len(self._map) < HEADER.size or self._map[:8] != MAGIC:
             self._map.close()
             raise BusError("no observations of this version", f"bus {bus}", "a controller of the same version")
-        _, length, self._size, self._records, _, _ = HEAD.unpack_from(self._map)
-        self._ring_at = -(-(HEAD.size + length) // PAGE_BYTES) * PAGE_BYTES
-        self.description: dict[str, Any] = json.loads(self._map[HEAD.size : HEAD.size + length])
+        _, length, self._size, self._records, _, _ = HEADER.unpack_from(self._map)
+        self._ring_at = -(-(HEADER.size + length) // PAGE_BYTES) * PAGE_BYTES
+        self.description: dict[str, Any] = json.loads(self._map[HEADER.size : HEADER.size + length])
         self.kind = record_type(self.description["axes"])
         self.seen = 0
 

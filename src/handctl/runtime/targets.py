@@ -22,8 +22,8 @@ from handctl.runtime.peers import name_senders, receive_datagram
 
 MAGIC = b"HCT1"
 """First bytes of a target datagram. The bytes include the version of the format."""
-HEAD = struct.Struct("<4sIIIqq")
-MAX_DATAGRAM_BYTES = HEAD.size + 8 * MAX_TARGET_VALUES
+HEADER = struct.Struct("<4sIIIqq")
+MAX_DATAGRAM_BYTES = HEADER.size + 8 * MAX_TARGET_VALUES
 """Longest datagram of a target [bytes]."""
 READ_PER_TICK = 64
 """Largest number of datagrams read per tick. A client ten times too fast sends fewer."""
@@ -86,12 +86,12 @@ class TargetBox:
 
     def _decode(self, data: bytes) -> str:
         """Return a datagram as a request, empty for a malformed datagram."""
-        if len(data) < HEAD.size:
+        if len(data) < HEADER.size:
             return ""
-        magic, process, number, count, index, sent_ns = HEAD.unpack_from(data)
-        if magic != MAGIC or len(data) != HEAD.size + 8 * count:
+        magic, process, number, count, index, sent_ns = HEADER.unpack_from(data)
+        if magic != MAGIC or len(data) != HEADER.size + 8 * count:
             return ""
-        values = struct.unpack_from(f"<{count}d", data, HEAD.size)
+        values = struct.unpack_from(f"<{count}d", data, HEADER.size)
         return target_text(stream_name(process, number), index, self._run_time(sent_ns), values)
 
     def close(self) -> None:
@@ -130,7 +130,7 @@ class TargetSender:
             OSError: the controller has ended.
         """
         process, number = self._head
-        data = HEAD.pack(MAGIC, process, number, len(values), index, sent_ns) + values.astype("<f8").tobytes()
+        data = HEADER.pack(MAGIC, process, number, len(values), index, sent_ns) + values.astype("<f8").tobytes()
         try:
             self._socket.send(data)
         except BlockingIOError:

@@ -73,7 +73,7 @@ def _declare_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--row", action="append", default=[], metavar="ID", help=text)
     text = "duration of the run without a fault (default: 60, with --quick 4)"
     parser.add_argument("--calm", type=float, metavar="S", help=text)
-    parser.add_argument("--calm-only", action="store_true", help="run only without a fault")
+    parser.add_argument("--calm-only", action="store_true", help="run the hand without a fault only")
     parser.add_argument("--seed", type=int, default=1, help="random seed of the simulated hand (default: 1)")
     output_option(parser, "folder of report.html, report.json and the logs of failures (logs/campaign)", "DIR")
 

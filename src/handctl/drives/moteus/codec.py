@@ -120,7 +120,7 @@ QUERY = bytes((READ | 1, MODE, READ | 2, TEMPERATURE, READ | FLOAT << 2 | 3, 0x0
 """Request for the feedback."""
 FEEDBACK_LENGTH = 24
 """Length of the feedback [bytes]."""
-STATUS_HEADS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"))
+STATUS_HEADERS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"))
 """Position and content of those head bytes that are part of the feedback's status."""
 
 
@@ -256,13 +256,13 @@ def _float_signal(name: str, quantity: Quantity, byte: int, scale: float, unit: 
 
 def joined_status(mode: int, fault: int) -> int:
     """Return the status number of a feedback frame, joined as compiled code joins its signals."""
-    heads = [int.from_bytes(content, "little") for _, content in STATUS_HEADS]
+    heads = [int.from_bytes(content, "little") for _, content in STATUS_HEADERS]
     return ((((heads[0] << 8 | mode) << 8 | heads[1]) << 8 | fault) << 16 | heads[2]) << 16 | heads[3]
 
 
 def is_feedback(data: bytes) -> bool:
     """Return True if the payload has the layout of the feedback."""
-    heads = all(data[at : at + len(content)] == content for at, content in STATUS_HEADS)
+    heads = all(data[at : at + len(content)] == content for at, content in STATUS_HEADERS)
     return len(data) == FEEDBACK_LENGTH and heads
 
 

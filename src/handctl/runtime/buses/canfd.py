@@ -34,7 +34,7 @@ The limit keeps a flood of frames from filling the memory.
 """
 WORD = np.dtype("<u8")
 PAYLOAD = np.dtype(("<u8", (8,)))
-_HEAD = np.dtype(STRUCT.descr[:-1])
+_HEADER_DTYPE = np.dtype(STRUCT.descr[:-1])
 T_NS_AT, HEAD_AT, DATA_AT = (RECORD.fields[name][1] for name in ("t_ns", "can_id", "data"))  # type: ignore[index]
 """Offsets in a record [bytes]: time, head (from identifier to length), payload."""
 
@@ -130,7 +130,7 @@ def _convert_sent(raw: bytes) -> Sent:
     lengths = records["length"]
     for i in np.flatnonzero(lengths > np.where(fd, MAX_PAYLOAD, 8))[:1]:
         check_size(Frame(int(records["can_id"][i]), bytes(int(lengths[i])), int(records["flags"][i])))
-    heads = np.zeros(len(records), _HEAD)
+    heads = np.zeros(len(records), _HEADER_DTYPE)
     heads["can_id"] = records["can_id"]
     heads["length"] = lengths
     heads["flags"] = np.where(fd, records["flags"], 0)
