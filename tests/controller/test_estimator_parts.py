@@ -81,7 +81,7 @@ def used_measurements(model: HandModel, state: FilterState, measured: Readings) 
 def test_a_tendon_hangs_loose_by_what_its_spool_is_short_of_its_digit(
     model: HandModel, x: float, s: float, o: float
 ) -> None:
-    """The slack is the lag of the spool. The load cell reads its error, unless the tendon is nearly taut."""
+    """The spool lags behind the digit by the slack. A slack load cell reads only its error."""
     n = model.tendon_count
     measured = empty_readings(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
     for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):

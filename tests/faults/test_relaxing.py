@@ -56,9 +56,9 @@ def look(simulation: Simulation) -> Instant:
 def tension_bound(simulation: Simulation, decided: Instant, force: np.ndarray) -> np.ndarray:
     """Return (N,) largest tension that rotor and stretch explain [N].
 
-    A rotor of mass m at the tendon, of speed v, under a force that is never above F, overshoots against the tendon's
-    stiffness k from the tension T to at bound F + sqrt((F - T)^2 + k m v^2). A free finger lets the rotor gain speed
-    until the force has gone.
+    A rotor has the mass m at the tendon and the speed v. A force of at most F pulls it against the stiffness k of the
+    tendon. From a tension T, the tension rises to at most F + sqrt((F - T)^2 + k m v^2). If the finger is free, the
+    rotor gains speed until the force has ended.
     """
     space = simulation.controller.model.space
     largest = np.maximum(force, 0.0)

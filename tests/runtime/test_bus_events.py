@@ -70,23 +70,23 @@ def test_bus_off_lasts_until_a_restart(end: str) -> None:
     if end == "restarted":
         events.error_frame(ERROR | 0x100, bytes(8))
     else:
-        events.failed(errno.ENETDOWN, "enobufs")
+        events.count_failure(errno.ENETDOWN, "enobufs")
     events.take()
     assert events.take() == []
 
 
 def test_counts_of_a_kind_are_added_up() -> None:
     events = BusEvents("can0")
-    events.failed(errno.ENOBUFS, "enodev", 3)
-    events.failed(errno.EAGAIN, "enodev", 2)
-    events.failed(errno.ENETDOWN, "enodev")
-    events.failed(None, "enodev")
+    events.count_failure(errno.ENOBUFS, "enodev", 3)
+    events.count_failure(errno.EAGAIN, "enodev", 2)
+    events.count_failure(errno.ENETDOWN, "enodev")
+    events.count_failure(None, "enodev")
     assert events.take() == [("enobufs", "can0", 5), ("enetdown", "can0", 1), ("enodev", "can0", 1)]
     assert events.take() == []
 
 
 def test_a_lost_interface_is_reported_at_every_call() -> None:
     events = BusEvents("can0")
-    events.failed(errno.ENODEV, "enobufs")
+    events.count_failure(errno.ENODEV, "enobufs")
     for _ in range(3):
         assert events.take() == [("enodev", "can0", 1)]

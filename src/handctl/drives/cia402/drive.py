@@ -164,7 +164,7 @@ class Cia402Drive:
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of NMT, RPDO, SDO requests, and the host's heartbeat."""
-        return frozenset((codec.NMT, codec.RPDO + self.node_id, codec.SDO_REQUEST + self.node_id, _MASTER_BEAT))
+        return frozenset((codec.NMT, codec.RPDO + self.node_id, codec.SDO_REQUEST + self.node_id, _HOST_HEARTBEAT))
 
     @property
     def node_ids(self) -> frozenset[int]:
@@ -293,7 +293,7 @@ class Cia402Drive:
         state, frames = self._command(state, t_ns, target, torque)
         progress = progress_of(state)
         if t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
-            frames = (*frames, Frame(_MASTER_BEAT, bytes((codec.OPERATIONAL,)), 0, self.bus))
+            frames = (*frames, Frame(_HOST_HEARTBEAT, bytes((codec.OPERATIONAL,)), 0, self.bus))
             state = state._replace(private=progress._replace(heartbeat_sent_ns=t_ns))
         return state, (*frames, Frame(codec.SYNC, b"", 0, self.bus)) if self.sync else frames
 
@@ -439,5 +439,5 @@ class Cia402Drive:
         return updated, (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._rpdo(codec.FAULT_RESET, 0.0))
 
 
-_MASTER_BEAT = codec.HEARTBEAT + setup.MASTER
+_HOST_HEARTBEAT = codec.HEARTBEAT + setup.MASTER
 """Identifier of this host's heartbeat."""

@@ -75,7 +75,7 @@ class BusEvents:
         key = kind, f"{self.where} {detail}" if detail else self.where
         self._counts[key] = self._counts.get(key, 0) + number
 
-    def failed(self, code: int | None, otherwise: str, number: int = 1) -> None:
+    def count_failure(self, code: int | None, otherwise: str, number: int = 1) -> None:
         """Count a failed operation on the bus.
 
         Args:

@@ -113,7 +113,7 @@ class PythonCanBus:
             try:
                 message = self._bus.recv(0)
             except (can.CanError, OSError) as error:
-                self._events.failed(_errno_of(error), "enodev")
+                self._events.count_failure(_errno_of(error), "enodev")
                 break
             except (ValueError, IndexError):  # slcan raises these for characters that are no frame
                 self._events.add("error_frame", 1, "garbled")
@@ -137,7 +137,7 @@ class PythonCanBus:
             try:
                 self._bus.send(message_of(frame), 0)
             except (can.CanError, OSError) as error:
-                self._events.failed(_errno_of(error), "enobufs", len(frames) - number)
+                self._events.count_failure(_errno_of(error), "enobufs", len(frames) - number)
                 return number
         return len(frames)
 

@@ -82,7 +82,7 @@ class SocketCanBus:
             try:
                 count = mmsg.receive(self._socket.fileno(), self._in)
             except OSError as error:
-                self._events.failed(error.errno, "enodev")
+                self._events.count_failure(error.errno, "enodev")
                 break
             if count:
                 parts.append(self._convert_datagrams(count))
@@ -169,7 +169,7 @@ class SocketCanBus:
             sent, code = mmsg.send(self._socket.fileno(), self._out, 0, len(batch))
             accepted += sent
             if code:
-                self._events.failed(code, "enobufs", len(frames) - accepted)
+                self._events.count_failure(code, "enobufs", len(frames) - accepted)
                 break
         return accepted
 
