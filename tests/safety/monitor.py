@@ -22,6 +22,8 @@ from handctl.safety.judge import Counting, Latched, Report, Verdict, faults_coun
 from handctl.safety.limits import LOAD_CELLS, Limits
 
 T, N = 0.002, np.nan
+SPOOL_M = 0.005
+"""Radius of the spools [m]."""
 NOW_NS = 10_000_000_000
 """Every tick is at this time: what counts is how old something is."""
 PERIOD_NS = round(T * 1e9)
@@ -62,7 +64,7 @@ class Monitor:
         motor_period = np.full(n, 1.0) * motor_period
         every = SimpleNamespace(period=T, tendon_count=n)
         self.set_constants(
-            motor_mass=5.0, motor_damping=40.0, coulomb=3.0, stiffness=1e5, spool=0.005, arms_sum=0.02,
+            motor_mass=5.0, motor_damping=40.0, coulomb=3.0, stiffness=1e5, spool=SPOOL_M, arms_sum=0.02,
             excursion_to_joints=50.0 * np.eye(n), moves=np.eye(n), period=T, period_ns=PERIOD_NS,
             motor_period=motor_period, joint_period=joint_period,
             residual_fraction=low_pass_fractions(every, motor_period, joint_period),  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from handctl.core.detectors import losses, stuck
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import Event
 from handctl.safety.faults.bus import SHORT_WINDOW, WINDOW
-from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, call_interpreted, synthetic_limits
+from tests.safety.monitor import NOW_NS, PERIOD_NS, SPOOL_M, Monitor, Rows, call_interpreted, synthetic_limits
 
 NAN = np.nan
 
@@ -232,13 +232,21 @@ def test_constant_reading_counts_while_its_references_move():
     assert seen == [(0, 0.0, 0.0), (1, 0.5, 0.0), (2, 1.0, 2.0), (0, 0.0, 0.0), (1, 0.0, 1.0)]
 
 
+def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
+    """The travel of a tendon that passes a wrist is counted without the wrist's part, which changes on its own."""
+    monitor = Monitor(synthetic_limits(1), residual_fraction=0.0)
+    for k in range(5):
+        monitor.tick({"measured_position": 1.0, "measured_travel": 1e-4 * k, "followed": 0.0})
+    assert monitor.get("motor_stuck") == [4.0]
+
+
 def test_a_missing_reading_is_neither_the_same_nor_another_one():
     monitor, seen = ticks_and_motion(
         [1.0, NAN, 1.0, NAN, 2.0], [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (3.0, 0.0)]
     )
     assert [ticks for ticks, *_ in seen] == [0, 0, 1, 1, 0]
     assert [first for _, first, _ in seen] == [0.0, 1.0, 2.0, 3.0, 0.0]
-    assert monitor.get("motor_value") == [2.0]
+    assert monitor.get("motor_value") == [pytest.approx(2.0 * SPOOL_M)]
 
 
 def test_missing_reference_is_used_once_it_is_read():

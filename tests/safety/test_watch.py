@@ -19,7 +19,7 @@ from handctl.core.detectors.residuals import (
     TIME_CONSTANTS_S,
 )
 from handctl.core.types import Mode
-from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, call_interpreted, synthetic_limits
+from tests.safety.monitor import NOW_NS, PERIOD_NS, SPOOL_M, Monitor, T, call_interpreted, synthetic_limits
 
 N = np.nan
 LIMITS = replace(
@@ -47,9 +47,11 @@ NAMES = {"tension": "measured_tension", "travel": "measured_travel", "position":
 
 def resting_tick(**given: Any) -> dict[str, Any]:
     """Return a tick of two tendons at rest under 20 N with some changes. A single number is for both tendons."""
-    facts = {"tension": 20.0, "travel": 0.0, "position": 0.0, "speed": 0.0, "force": 20.0, "excursion": N, "joints": N,
-             "read": False}  # fmt: skip
-    return {NAMES[name]: value for name, value in (facts | given).items()}
+    facts = {"tension": 20.0, "travel": 0.0, "speed": 0.0, "force": 20.0, "excursion": N, "joints": N, "read": False}
+    facts |= given
+    # Of one encoder: the travel is the position times the radius of the spool.
+    facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_M)
+    return {NAMES[name]: value for name, value in facts.items()}
 
 
 def monitor_at_20_newton(monitor: Monitor | None = None, **given: Any) -> Monitor:
