@@ -40,6 +40,26 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 
 @inner
+def pulley_torque(c: ConstantTables, n: int, arm: float, tension: float, developed: float, wrapped: float) -> float:
+    """Return the torque of tendon n at the joint of a pulley, friction subtracted [N m].
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        arm: moment arm about the joint [m].
+        tension: at the load cell, net for a spool pair [N].
+        developed: development of friction, 1 winding, -1 paying out.
+        wrapped: wrap angle up to the pulley [rad].
+
+    Source: capstan equation.
+    """
+    passed = math.exp(-c.tendon[h.CAPSTAN, n] * developed * wrapped)
+    if c.tendon_int[h.PAIR, n]:
+        return arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed)
+    return arm * tension * passed
+
+
+@inner
 def subtract_passing_torque(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, torque: Vector) -> None:
     """Subtract the torques of passing tendons from the joint torques (J,) that the carriers' own tendons must make.
 
@@ -58,11 +78,7 @@ def subtract_passing_torque(c: ConstantTables, q: Vector, tension: Vector, devel
             arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
             if arm != 0.0:
                 wrapped += q[j]
-                passed = math.exp(-c.tendon[h.CAPSTAN, n] * developed[n] * wrapped)
-                if c.tendon_int[h.PAIR, n]:
-                    torque[j] -= arm * net_tension_at_joint(tension[n], c.tendon[h.PRETENSION, n], passed)
-                else:
-                    torque[j] -= arm * tension[n] * passed
+                torque[j] -= pulley_torque(c, n, arm, tension[n], developed[n], wrapped)
 
 
 @inner
@@ -122,11 +138,7 @@ def write_tensions_at_joints(c: ConstantTables, q: Vector, tension: Vector, deve
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
                 wrapped += q[j]
-                passed = math.exp(-c.tendon[h.CAPSTAN, n] * developed[n] * wrapped)
-                if c.tendon_int[h.PAIR, n]:
-                    torque[j] += arm * net_tension_at_joint(tension[n], c.tendon[h.PRETENSION, n], passed)
-                else:
-                    torque[j] += arm * tension[n] * passed
+                torque[j] += pulley_torque(c, n, arm, tension[n], developed[n], wrapped)
     write_tensions_for_torque(c, torque, result)
 
 
