@@ -55,7 +55,7 @@ DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
     "name", [name if name in DAILY_LOGS else pytest.param(name, marks=pytest.mark.nightly) for name in LOGS]
 )
 def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
-    script = f"from {__name__} import executed, GOLDEN; print(executed(GOLDEN / {name!r}))"
+    script = f"from {__name__} import hash_of_execution, GOLDEN; print(hash_of_execution(GOLDEN / {name!r}))"
     with run_without_compiler("-c", script) as other:
         mine = hash_of_execution(GOLDEN / name)
         output, _ = other.communicate(timeout=120)
