@@ -164,7 +164,7 @@ def test_mistakes_of_the_files_beside_the_hand_come_too(place: Path, capsys: pyt
         assert len([line for line in found if line.startswith(start)]) == 1, found
 
 
-def test_what_several_sections_have_in_common_is_one_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mistake_common_to_several_sections_is_one_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     numbers = "[0.015, 0.010]"
     write_changed_jamia11(
         place,
@@ -175,7 +175,7 @@ def test_what_several_sections_have_in_common_is_one_line(place: Path, capsys: p
     assert line.startswith("digit[thumb].link_length_m: missing; expected a value: Distance from a link's joint")
 
 
-def test_an_empty_file_names_the_way_on(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_message_about_an_empty_file_names_config_init(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (place / "mine.toml").write_text("# nothing yet\n")
     assert error_lines(capsys) == [
         "schema: the file is empty; expected schema = 2 and the sections of a hand; "

@@ -32,7 +32,7 @@ def test_a_run_without_room_for_its_picture_keeps_its_numbers(place, capsys):
     assert not (place / "run.png").is_symlink(), "half a picture is worth nothing"
 
 
-def test_a_truth_that_cannot_be_copied_is_read_where_it_is(place):
+def test_a_truth_file_that_cannot_be_copied_is_read_in_place(place):
     truth = place / "sim.truth"
     truth.write_bytes(bytes(100))
     (place / "run.truth").symlink_to(FULL)

@@ -119,7 +119,7 @@ def test_mistakes_are_one_line_and_exit_2(words, said, capsys):
     assert error.count("\n") == 1
 
 
-def test_a_damaged_file_does_not_block_the_way_back(twice_changed_hand, place, capsys):
+def test_a_damaged_gains_file_does_not_prevent_a_rollback(twice_changed_hand, place, capsys):
     (place / "jamia.gains.toml").write_text("schema = [")
     capsys.readouterr()
     assert main(["gains", "log"]) == 0

@@ -18,7 +18,7 @@ def jamia_without_load_cell(folder: Path) -> str:
 
 
 @pytest.mark.parametrize("hand", ["n_plus_1", "orca_like"])
-def test_hands_that_their_tendons_return_are_not_refused(hand: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_hands_without_return_springs_are_not_refused(hand: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Regression: one hand has no springs, and the other has spool pairs without load cells."""
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out

@@ -143,7 +143,7 @@ def test_rerun_finds_the_moving_hand(twins):
     assert any("joint_states" in path for path in paths)
 
 
-def test_a_report_finds_its_place_in_the_truth(twins, capsys):
+def test_a_report_aligns_the_log_with_the_truth_file(twins, capsys):
     place, result = twins[0]
     words = ("--truth", str(place / "run.truth"), "--output", str(place / "page.html"))
     assert main(["report", str(place / "run.mcap"), *words]) == 0

@@ -155,7 +155,7 @@ def test_a_log_that_its_own_picture_would_replace_is_refused(capsys):
         assert "ending in .mcap" in capsys.readouterr().err
 
 
-def test_a_picture_is_named_as_it_was_asked_for(place):
+def test_a_picture_keeps_the_requested_file_name(place):
     save_figure(Figure(), place / "picture")
     save_figure(Figure(), place / "picture.odd")
     save_figure(Figure(), place / "picture.svg")

@@ -48,7 +48,7 @@ def words(request, place):
     return MOVES[request.param]
 
 
-def test_which_buses_may_have_real_motors():
+def test_only_real_interfaces_count_as_real_buses():
     simulated = ["local:a", "socketcan:vcan0", "socketcan:vxcan1", "virtual:x", "udp_multicast:ff15::1"]
     assert real_buses([*simulated, *REAL]) == list(REAL)
 

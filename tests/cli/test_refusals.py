@@ -272,7 +272,7 @@ def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
 
 
 @pytest.mark.parametrize("name", packaged_hands())
-def test_what_config_shows_is_the_hand(place, capsys, name):
+def test_the_output_of_config_show_is_the_same_hand(place, capsys, name):
     assert main(["config", "show", "--hand", name]) == 0
     text = capsys.readouterr().out
     (place / "mine.toml").write_text(text)

@@ -159,7 +159,7 @@ def test_text_of_a_log_cannot_become_markup() -> None:
     assert _escaped_text("<script>\x1b[31m&") == "&lt;script&gt;\\x1b[31m&amp;"
 
 
-def test_a_report_tells_its_faults_and_contacts_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_report_begins_with_faults_and_contacts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("handctl.report.run_page.MAX_EVENTS", 3)
     out = tmp_path / "page.html"
     assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 0

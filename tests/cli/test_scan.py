@@ -165,7 +165,7 @@ def test_beside_another_host_no_firmware_is_invented():
     assert "firmware =" not in hand_file_snippet({"a": result.found}, 1_000_000, None)
 
 
-def test_firmware_05_is_a_conclusion_and_the_fragment_says_so():
+def test_the_hand_file_part_marks_firmware_05_as_concluded():
     result, _, _ = scanned(("odrive", 3, "", False, None, "0.5"))
     (drive,) = result.found
     assert drive.options == {"firmware": "0.5"}
@@ -237,7 +237,7 @@ def test_no_scan_request_enables_torque():
     ]
 
 
-def test_the_verb_scans_two_buses_and_its_fragment_is_a_hand_file_s(capsys):
+def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
     ids = ["--ids", "17,18"]
     with drives("local:s", "mit", *ids), drives("join:s", "cia402", *ids), drives("local:t", "odrive", *ids):
         assert main(["scan", "--bus", "lab=local:s", "--bus", "far=local:t", "--json"]) == 0
@@ -255,7 +255,7 @@ def test_the_verb_scans_two_buses_and_its_fragment_is_a_hand_file_s(capsys):
         assert make_drive(Motor.model_validate(motor), 0).name == f"{bus}_{protocol}_{node}"
 
 
-def test_a_fragment_of_nothing_parses():
+def test_the_hand_file_part_of_an_empty_bus_parses():
     assert tomllib.loads(hand_file_snippet({"a": ()}, 1_000_000, 5_000_000))["bus"][0]["data_bitrate"] == 5_000_000
 
 

@@ -156,7 +156,7 @@ def test_an_identification_has_one_source(capsys, words):
     assert "expected one of them" in refused(capsys, "identify", *words)
 
 
-def test_what_a_simulated_hand_is_made_of_is_not_kept_for_the_real_one(place, capsys, monkeypatch):
+def test_a_calibration_in_lockstep_does_not_replace_the_real_one(place, capsys, monkeypatch):
     hand, own = load_hand("jamia"), place / "jamia.calibration.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
@@ -257,7 +257,7 @@ def test_no_other_file_of_the_hand_is_written_over(place, capsys, name, option):
     assert (place / "mine.study").read_text() == "mine"
 
 
-def test_the_log_of_a_simulated_hand_tells_nothing_of_the_real_one(place, capsys):
+def test_a_log_of_a_simulated_hand_is_not_used_for_the_real_hand(place, capsys):
     assert main(["identify", "--from-log", GOLDEN, "--dry-run", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
     real = place / "real.mcap"

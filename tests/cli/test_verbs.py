@@ -58,14 +58,14 @@ DRY = {
 
 
 @pytest.mark.parametrize("verb", DRY)
-def test_json_without_hardware(capsys, verb):
+def test_every_verb_prints_json_without_hardware(capsys, verb):
     dry = ("--dry-run",) if verb == "run" else ()
     code, said = json_output(capsys, *verb.split(), *DRY[verb], *dry)
     assert code in ((0, 1) if verb == "doctor" else (0,))  # the doctor may find something to repair
     assert said
 
 
-def test_what_config_says_of_the_bus_is_what_a_run_would_do(capsys):
+def test_config_show_and_run_plan_the_same_bus_load(capsys):
     _, config = json_output(capsys, "config", "show", "--hand", "jamia11")
     _, plan = json_output(capsys, "run", "--hand", "jamia11", *BUS, "--dry-run")
     assert config["rate_hz"] == plan["rate_hz"] == 200.0

@@ -121,7 +121,7 @@ def test_a_file_of_an_earlier_version_is_taken_with_one_line(place, capsys):
     bench.peer.close()
 
 
-def test_what_was_identified_of_other_drives_is_left_out(place, capsys):
+def test_identified_values_of_other_drives_are_not_used(place, capsys):
     bench = Bench(place, "jamia")
     calibration, path = bench.commission("made"), place / "c.toml"
     bench.peer.close()

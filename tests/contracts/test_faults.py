@@ -129,11 +129,11 @@ def test_every_fault_says_in_one_line_what_to_do_about_it() -> None:
 
 
 @pytest.mark.parametrize("fault", AUTOSAR)
-def test_autosar_s_faults_are_rows(fault: str) -> None:
+def test_each_fault_of_the_autosar_list_is_a_fault_of_the_table(fault: str) -> None:
     assert set(AUTOSAR[fault].split()) <= set(IDS)
 
 
-def test_px4_s_cells_are_rows_or_have_a_reason() -> None:
+def test_each_cell_of_the_px4_table_is_a_fault_or_has_a_reason() -> None:
     cells = [cell for row in PX4.values() for cell in row]
     assert len(AUTOSAR) == 11
     assert len(cells) == 6 * len(KINDS)

@@ -61,7 +61,7 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("text", ["", "two\nlines"])
-def test_a_fault_s_refusal_without_words_or_of_two_lines_is_noticed(
+def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:

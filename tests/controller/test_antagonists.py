@@ -99,7 +99,7 @@ HANDS = {"n + 1": n_plus_1, "n + 1 without joint encoders": without_encoders, "2
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("kind", HANDS)
-def test_it_commissions_and_tracks_from_a_cold_start(kind: str, seed: int) -> None:
+def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(kind: str, seed: int) -> None:
     """The motor zeros are those of the simulator, and the joints follow within a degree."""
     hand = HANDS[kind]()
     period_ns = round(1e9 / RATE_HZ)
@@ -166,7 +166,7 @@ sink_speed_m_s = 0.2
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_it_grasps_holds_against_gravity_and_lets_go(seed: int) -> None:
+def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
     with Simulator(n_plus_1(), CYLINDER, seed, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
         plant = peer.world.plant
         run, ticks = ticks_of(peer, TaskProgram(GRASP), None, 0)

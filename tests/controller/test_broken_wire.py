@@ -45,7 +45,7 @@ def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandMo
     assert abs(run.state.mode_since - began - RELAXED_S) <= 2 * jamia.period
 
 
-def test_a_tendon_that_relaxes_in_time_is_let_go_of_gently(jamia: HandModel) -> None:
+def test_a_tendon_that_relaxes_in_time_needs_no_cut(jamia: HandModel) -> None:
     run = at_the_rail(jamia)
     for _ in range(round(0.9 * RELAXED_S / jamia.period)):
         assert run.tick().mode == Mode.RELAX

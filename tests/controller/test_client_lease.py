@@ -27,7 +27,7 @@ def wait_alive(client: Client, seconds: float, every_s: float = 0.1) -> None:
         client.wait(every_s - client.model.period)
 
 
-def test_a_client_that_is_silent_after_a_hold_lets_go(jamia: HandModel) -> None:
+def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -> None:
     """Regression: the hand kept pulling without a time limit."""
     with live(jamia) as client:
         client.ask("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
@@ -124,7 +124,7 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
         check_ticks_repeat(client.run, middle, at)
 
 
-def test_signs_of_life_are_requests() -> None:
+def test_alive_messages_are_requests() -> None:
     assert parse_request(alive_text("client-1-2")) == Alive(do="alive", client="client-1-2")
     assert is_routine(alive_text("client-1-2"))
     assert not is_routine(json.dumps({"do": "stop"}))

@@ -149,7 +149,7 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fi
     assert [row.answer_N for row in found.values()] == pytest.approx([PULL_N] * 15, abs=1.0)
 
 
-def test_a_tare_is_of_the_moment_before_its_pull(jamia: HandModel) -> None:
+def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
     """A zero that drifts by 0.1 N/s from the first tick of rest has the value just before the pull."""
     drifted = [0.0]
 
@@ -237,7 +237,7 @@ def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
 
 
 @pytest.mark.parametrize(("tare", "refused"), [(-4.1, True), (-3.9, False), (5.9, False), (6.1, True)])
-def test_a_tare_leaves_room_to_either_end_of_the_range(model: HandModel, tare: float, refused: bool) -> None:
+def test_a_tare_too_near_to_an_end_of_the_range_is_refused(model: HandModel, tare: float, refused: bool) -> None:
     """The message names the load cell that is nearest to an end, even if another cell reads more."""
 
     def cells(i: int) -> np.ndarray:

@@ -90,7 +90,7 @@ def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, j
             assert abs(target - now) <= abs(target - before) + 1e-9, "towards the target, never past it"
 
 
-def test_from_motion_to_tension_without_a_bump(model: HandModel) -> None:
+def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel) -> None:
     x = balanced_state(model, 0.8)
     estimate = exact_estimate(model, x)
     law, moved = step(
@@ -281,7 +281,7 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
 
 
 @pytest.mark.parametrize("kind", [Kind.MOTION, Kind.TENSION])
-def test_a_goal_without_its_numbers_is_limp(jamia: HandModel, kind: Kind) -> None:
+def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: Kind) -> None:
     estimate = exact_estimate(jamia, balanced_state(jamia, 0.5))
     _, command = step(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
     assert not command.torque.any()
@@ -328,7 +328,7 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
     assert not law.planned.any()
 
 
-def test_a_plan_that_turns_before_the_tendon_does_changes_nothing_yet(model: HandModel) -> None:
+def test_planned_friction_reverses_only_when_the_tendon_does(model: HandModel) -> None:
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1
     estimate, law = exact_estimate(model, x), LawState.initial(model.tendon_count)

@@ -37,7 +37,7 @@ def program(*phases: dict[str, Any]) -> TaskProgram:
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_a_wall_is_found_within_20_ms_of_a_newton(hand: str, tmp_path: Path) -> None:
+def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
     """Detection below 1 N passes as well. The benchmark has more speeds and places."""
     closing = {"kind": "close", "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0}, "speed_deg_s": 60.0}
     task = program({"kind": "move", "angle_deg": OPEN, "duration_s": 0.3}, closing, {"kind": "hold", "tension_N": 15.0})
@@ -108,7 +108,7 @@ def closing_hand(
     return state
 
 
-def test_a_force_that_was_below_zero_all_along_counts_from_there(jamia: HandModel) -> None:
+def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
     """Near the end of its motion the thumb's force estimate is 0.35 N too low, and the contact reaches only 0.2 N."""
     for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = closing_hand(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
@@ -122,7 +122,7 @@ def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> No
         assert state.view("grown")[0] == pytest.approx(counts)
 
 
-def test_a_mean_follows_in_its_time_while_a_digit_closes(jamia: HandModel) -> None:
+def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
     """The mean forgets the forces of other digits, except the drift of their load cells."""
     state = closing_hand(jamia, 0.0, round(MEAN_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
     assert state.view("usual")[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)

@@ -17,7 +17,7 @@ from tests.hand.chains import SEEDS, random_tree
 
 
 @pytest.mark.parametrize("name", packaged_hands())
-def test_it_suits_every_hand_and_reads_back_from_its_text(name: str, tmp_path: Path) -> None:
+def test_the_default_task_suits_every_hand_and_reads_back_from_text(name: str, tmp_path: Path) -> None:
     hand = load_hand(name)
     task, text = default_task(hand)
     check_suits(task, hand, "default task")
@@ -39,7 +39,7 @@ def test_it_suits_every_hand_and_reads_back_from_its_text(name: str, tmp_path: P
         assert (np.array(hold.tension_N[digit.name]) <= 0.7 * np.array(limits) + 0.1).all()
 
 
-def test_a_sideways_joint_stays_in_the_middle_and_an_extensor_only_taut() -> None:
+def test_the_default_task_keeps_spreading_joints_centred_and_extensors_taut() -> None:
     content = hand_content("jamia11")
     thumb = content["digit"][3]
     thumb["joint_min_deg"], thumb["joint_max_deg"] = [-20.0, 0.0], [20.0, 100.0]
@@ -98,7 +98,7 @@ def test_fingers_around_a_circle_press_alike_and_take_a_ball() -> None:
     assert default_scene(hand) == "sphere:41"
 
 
-def test_digits_of_one_side_are_said_to_lift_nothing() -> None:
+def test_a_hand_with_digits_on_one_side_gets_a_warning_that_it_lifts_nothing() -> None:
     content = hand_content("t42")
     content["digit"][1]["mount_rpy_deg"] = [180.0, 0.0, 0.0]
     assert "no digit closes against another" in grasp_warnings(hand_from_content(content, "one-sided"))[0]

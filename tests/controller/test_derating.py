@@ -42,7 +42,7 @@ def test_a_cool_hand_is_not_restrained(jamia: HandModel, temperatures: tuple[flo
     assert np.isinf(limit_at(jamia, temperatures)).all()
 
 
-def test_neither_loop_asks_for_more_than_is_allowed(jamia: HandModel) -> None:
+def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -> None:
     most, estimate = np.array([9.0, 140.0, 140.0, 12.0]), estimate_under_tension(jamia, 20.0)
     state = LawState.idle(estimate.tension)
     for _ in range(200):
@@ -63,7 +63,7 @@ def test_neither_loop_asks_for_more_than_is_allowed(jamia: HandModel) -> None:
     assert (command.torque / jamia.space.spool <= most + jamia.space.coulomb + 1e-9).all()
 
 
-def test_where_time_stands_still_the_goal_has_no_speed(jamia: HandModel) -> None:
+def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None:
     estimate, goals = estimate_under_tension(jamia, 20.0), moving_goals(jamia, 0.0, 1.5, 1.0)
     law, held = step(jamia, LawState.idle(estimate.tension), estimate, goals, 0.5, None, np.full(4, 300.0))
     _, going = step(jamia, LawState.idle(estimate.tension), estimate, goals, 0.5)
@@ -82,7 +82,7 @@ def warm_grasp():
         yield begun
 
 
-def test_a_warm_drive_pulls_less_and_the_others_as_before(warm_grasp) -> None:
+def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
     """At 84 degC, between 70 and 85, one fifteenth of the range is left: 14 N instead of 24 N."""
     before = warm_grasp.peer.truth()["tension"]
     warm_grasp.peer.inject("hot node=index_motor size=84 for=800ms")
@@ -97,7 +97,7 @@ def test_a_warm_drive_pulls_less_and_the_others_as_before(warm_grasp) -> None:
     assert warm_grasp.out.mode == Mode.ACTIVE
 
 
-def test_while_safety_holds_no_tension_grows(warm_grasp) -> None:
+def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     """The limit is the tension at the start of the HOLD, and it ends with the HOLD."""
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.peer.truth()["tension"])

@@ -73,7 +73,7 @@ def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Readi
     return empty_readings(model)._replace(travel=travel, tension=cell)
 
 
-def test_a_hand_that_is_under_tension_before_its_encoders_speak(model: HandModel) -> None:
+def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandModel) -> None:
     """The sensor node replies at once. A drive replies after its registers were read."""
     n = model.tendon_count
     cell, state = np.full(n, 5.0), FilterState.initial(n)
@@ -111,7 +111,7 @@ def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
     return met
 
 
-def test_noise_does_not_end_slack_and_tension_does(model: HandModel) -> None:
+def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
     assert (
         regimes_of_readings(model, [2.4, -2.4, 0.0, 2.4, 2.4, -0.3, 0.9, 0.6])
         == [{Regime.SLACK}] * 8
@@ -218,7 +218,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     np.testing.assert_allclose(estimate.external, 0.0, err_msg="the open stop is no contact")
 
 
-def test_joint_encoders_tell_excursion_from_offset(jamia11: HandModel) -> None:
+def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) -> None:
     """Spool and load cell measure only the sum of excursion and offset. Joint encoders separate them."""
     x, _ = state_at_rest(jamia11, 20.0, 0.7)
     balance = load_statics(jamia11, x, np.zeros(len(x))).resistance
@@ -257,7 +257,7 @@ def test_unread_joints_give_no_excursion(jamia11: HandModel, jamia: HandModel) -
     assert np.isnan(excursion_of(jamia, np.full(len(jamia.hand.joints), np.nan))).all()
 
 
-def test_neither_state_nor_measurements_are_changed(model: HandModel) -> None:
+def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
     state, measured = (
         all_in_regime(model, Regime.FREE, x),

@@ -280,7 +280,7 @@ def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, pred
     assert_same_covariance(after.covariance, P)
 
 
-def test_a_second_filter_agrees_over_gaps(model: HandModel) -> None:
+def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
     """Compute each tendon in plain loops. A missing measurement has no row in the update."""
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)

@@ -104,7 +104,7 @@ def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> 
     assert hand.state.regimes == (Regime.SLACK,) * model.tendon_count
 
 
-def test_a_hardly_slack_tendon_does_not_update_the_cell_error(model: HandModel) -> None:
+def test_a_nearly_taut_tendon_does_not_update_the_load_cell_error(model: HandModel) -> None:
     assert not slack_state(Held(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0).cell_error.any()
 
 
@@ -161,7 +161,7 @@ def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
 
 
 @pytest.mark.parametrize("every", [5, 11, 30])
-def test_a_position_that_comes_now_and_then_does_not_make_the_filter_swing(jamia: HandModel, every: int) -> None:
+def test_occasional_positions_do_not_make_the_filter_oscillate(jamia: HandModel, every: int) -> None:
     """The gains assume a measurement in every tick. A drive after a reset sent its position in every eleventh."""
     held = Held(jamia).settled()
     chance = np.random.default_rng(7)

@@ -78,7 +78,7 @@ def used_measurements(model: HandModel, state: FilterState, measured: Readings) 
 
 
 @pytest.mark.parametrize(("x", "s", "o"), [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)])
-def test_a_tendon_hangs_loose_by_what_its_spool_is_short_of_its_digit(
+def test_slack_length_is_digit_excursion_minus_spool_travel(
     model: HandModel, x: float, s: float, o: float
 ) -> None:
     """The spool lags behind the digit by the slack. A slack load cell reads only its error."""
@@ -138,7 +138,7 @@ def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: Hand
     assert (state.x[S::STATES] == 1e-4).all(), "of the state before nothing is changed"
 
 
-def test_an_estimate_tells_every_column_before_anything_was_read(model: HandModel) -> None:
+def test_an_estimate_has_every_column_before_the_first_reading(model: HandModel) -> None:
     n, j = model.tendon_count, len(model.hand.joints)
     no = (False,) * len(model.digits)
     _, estimate = step(model, FilterState.initial(n), empty_readings(model), np.zeros(n), no)

@@ -66,7 +66,7 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 
 
 @pytest.mark.parametrize("hand", HANDS)
-def test_warning_keeps_to_the_undoubted_model(hand: str) -> None:
+def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     """A filter in doubt explains its innovations better. The averages for warning and doubt use the original model."""
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)
@@ -123,7 +123,7 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
     assert not averages_and_doubts(jamia11, usual, none, nis)[1][1:].any()
 
 
-def test_doubt_ends_and_missing_samples_say_nothing(jamia11: HandModel) -> None:
+def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> None:
     """The time of doubt decreases in each tick. NaN does not change the average."""
     n = jamia11.tendon_count
     lately, wary = averages_and_doubts(

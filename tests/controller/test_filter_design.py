@@ -90,7 +90,7 @@ def test_every_regime_is_stable_at_every_rate(
             )
 
 
-def test_joint_encoders_part_excursion_from_offset_and_touch_nothing_else(jamia: HandModel, jamia11: HandModel) -> None:
+def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(jamia: HandModel, jamia11: HandModel) -> None:
     gains = jamia11.gains.filter
     cycle = jamia11.hand.sensor_node.joint_decimation
     for blocks in jamia11.filter.blocks:
@@ -133,7 +133,7 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
             assert (row[h.DRIFT_AT], row[h.KNOWN_AT]) == (block.drift, block.known)
 
 
-def test_a_hand_that_chatters_for_days_fills_no_memory(jamia: HandModel) -> None:
+def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> None:
     design = FilterDesign(jamia.filter.blocks * 2)
     kinds = [
         np.array(each) for each in itertools.islice(itertools.product(range(3), repeat=8), 2 * TRANSITION_CACHE_SIZE)

@@ -262,7 +262,7 @@ def test_a_digit_that_touches_later_joins_the_grasp(model: HandModel, taut: Esti
     assert run.progress.goals[held[0]] is before, "contact lost is not contact undone"
 
 
-def test_closing_on_nothing_ends_and_says_so(model: HandModel, taut: Estimate) -> None:
+def test_closing_without_contact_ends_with_a_message(model: HandModel, taut: Estimate) -> None:
     run = closing(model, taut)
     took = run.until("hold", taut)
     way = math.radians(80.0)
@@ -355,7 +355,7 @@ def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut
     assert run.progress.goals[index].kind == Kind.TENSION
 
 
-def test_a_tip_force_becomes_the_tension_that_stands_for_it(model: HandModel, taut: Estimate) -> None:
+def test_a_goal_tip_force_becomes_the_tension_that_makes_it(model: HandModel, taut: Estimate) -> None:
     phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
     run = ProgramRun(model, {**TASK, "phase": phases})
     run.until("close", taut)

@@ -24,7 +24,7 @@ def hand(jamia: HandModel) -> Bench:
     return bench(jamia, LiveProgram())
 
 
-def test_motors_that_answer_by_turns_are_armed_too(hand: Bench) -> None:
+def test_motors_that_reply_in_alternate_ticks_are_armed(hand: Bench) -> None:
     """Some drives have a cycle. The filter starts when each drive has been read once."""
     motors = range(0x11, 0x15)
 
@@ -38,7 +38,7 @@ def test_motors_that_answer_by_turns_are_armed_too(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
 
 
-def test_load_cells_that_come_by_turns_are_all_waited_for(jamia11: HandModel) -> None:
+def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(jamia11: HandModel) -> None:
     run = bench(jamia11, LiveProgram())
     first, *others = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in others]
@@ -65,7 +65,7 @@ def decided(hand: Bench, state: State) -> tuple[Mode, str]:
     return after.mode, after.failure
 
 
-def test_a_drive_that_is_ready_but_never_tells_its_position_is_named(hand: Bench) -> None:
+def test_a_ready_drive_that_never_reports_its_position_is_named(hand: Bench) -> None:
     """The heartbeat of an ODrive makes it ready, although its encoder messages may be disabled."""
     known = hand_in_inventory(hand, INVENTORY_TIMEOUT_S + 0.1)
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()

@@ -12,7 +12,7 @@ from handctl.safety.faults.bus import WINDOW
 from tests.controller.bench import Bench, bench
 
 
-def test_answers_that_a_busy_host_gets_late_are_no_masquerade() -> None:
+def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
     """The replies of one tick arrive two ticks later, together with the replies of the following ticks."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
@@ -36,7 +36,7 @@ def test_answers_that_a_busy_host_gets_late_are_no_masquerade() -> None:
     assert out.mode == Mode.ACTIVE
 
 
-def test_late_answers_of_a_bus_without_stamps_are_no_masquerade() -> None:
+def test_late_replies_without_time_stamps_are_no_second_node() -> None:
     """A frame has the time of its reading. A simulator that paused replies to two ticks at once."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
@@ -62,7 +62,7 @@ def test_late_answers_of_a_bus_without_stamps_are_no_masquerade() -> None:
 
 
 @pytest.mark.parametrize("before", range(4))
-def test_a_pause_in_which_a_question_too_old_would_be_given_up_is_no_masquerade(before: int) -> None:
+def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(before: int) -> None:
     """Replies of three ticks arrive at once, around the tick at which older requests expire."""
     run = active_on_a_bus_without_stamps()
     waiting: list[Frame] = []
@@ -122,7 +122,7 @@ def test_a_lost_answer_excuses_one_duplicate_and_no_second_node() -> None:
     assert "N13" in [text[:3] for text in second_answers(run.tick())]
 
 
-def test_answers_that_never_came_excuse_one_duplicate_in_the_long_run() -> None:
+def test_missing_replies_excuse_one_duplicate_over_a_long_time() -> None:
     run = active_on_a_bus_without_stamps()
     run.to_host = lambda frames: stamped(run, [frame for frame in frames if frame.can_id != 0x11])
     run.run(3 * run.period_ns * 1e-9)

@@ -58,7 +58,7 @@ def test_motion_feedback_applies_each_gain(model: HandModel, way: tuple[DigitGoa
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, atol=1e-9, err_msg=name)
 
 
-def test_a_way_s_acceleration_is_fed_forward(model: HandModel, way: tuple[DigitGoal, ...], there: Estimate) -> None:
+def test_the_planned_acceleration_is_fed_forward(model: HandModel, way: tuple[DigitGoal, ...], there: Estimate) -> None:
     """Without the feedforward of rotor inertia, the command decreases by inertia times acceleration."""
     without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
@@ -72,7 +72,7 @@ def test_a_way_s_acceleration_is_fed_forward(model: HandModel, way: tuple[DigitG
     )
 
 
-def test_held_tendons_take_a_disturbance_off(model: HandModel) -> None:
+def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> None:
     there = estimate_under_tension(model, 20.0)
     off = there._replace(disturbance=np.full(model.tendon_count, 0.5))
     change = force(model, off, holding_goals(model, 20.0)) - force(
@@ -81,7 +81,7 @@ def test_held_tendons_take_a_disturbance_off(model: HandModel) -> None:
     np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
 
 
-def test_an_idle_law_has_commanded_nothing(model: HandModel) -> None:
+def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     """A tension loop then starts at the present tension, for any command before."""
     state, tension = active_state(model), np.linspace(3.0, 4.0, model.tendon_count)
     for name in ("setpoint", "integral", "force", "planned", "rate", "trim", "torque", "friction_state"):
@@ -105,14 +105,14 @@ def test_an_idle_law_has_commanded_nothing(model: HandModel) -> None:
         np.testing.assert_array_equal(getattr(command, name), np.full(size, value), err_msg=name)
 
 
-def test_a_hand_that_holds_has_goals_of_no_angle(model: HandModel) -> None:
+def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
     there = estimate_under_tension(model, 20.0)
     command = step(model, LawState.idle(there.tension), there, holding_goals(model, 20.0), AT_S)[1]
     joints = len(model.hand.joints)
     assert [np.isnan(goal).tolist() for goal in (command.q, command.dq)] == [[True] * joints] * 2
 
 
-def test_held_tendons_answer_their_speed_and_their_tension(model: HandModel) -> None:
+def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     """The control law opposes a deviation from the goal, and damps a motion."""
     there, goals, design = (
         estimate_under_tension(model, 20.0),
@@ -131,7 +131,7 @@ def test_held_tendons_answer_their_speed_and_their_tension(model: HandModel) -> 
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, err_msg=name)
 
 
-def test_held_tendons_that_are_expected_on_a_way_get_what_their_rotors_need_for_it(model: HandModel) -> None:
+def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandModel) -> None:
     there, space = estimate_under_tension(model, 20.0), model.space
     still = holding_goals(model, 20.0)
     start, end, since = 0.4, 0.7, 0.1
@@ -161,7 +161,7 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(m
     np.testing.assert_allclose((loose - taut) / model.space.spool, model.space.coulomb, rtol=0.02)
 
 
-def test_on_a_way_no_more_tension_is_aimed_at_than_allowed(
+def test_the_goal_tension_of_a_motion_stays_within_its_limit(
     model: HandModel, way: tuple[DigitGoal, ...], there: Estimate
 ) -> None:
     free = step(model, LawState.idle(there.tension), there, way, AT_S)[1].tension
@@ -170,14 +170,14 @@ def test_on_a_way_no_more_tension_is_aimed_at_than_allowed(
     np.testing.assert_allclose(held, np.maximum(most, model.floor))
 
 
-def test_a_limp_hand_asks_its_joints_for_nothing(model: HandModel) -> None:
+def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -> None:
     there = estimate_under_tension(model, 10.0)
     command = step(model, LawState.idle(there.tension), there, (DigitGoal(),) * len(model.digits), AT_S)[1]
     assert not command.joint_torque.any()
     assert np.isnan(command.tension).all()
 
 
-def test_a_half_moving_hand_has_goals_of_angles_for_that_half(model: HandModel, there: Estimate) -> None:
+def test_only_moving_digits_have_goal_angles(model: HandModel, there: Estimate) -> None:
     goals = (*moving_goals(model, 0.4, 0.6, 1.0)[:2], *holding_goals(model, 12.0)[2:])
     law, command = step(model, LawState.idle(there.tension), there, goals, AT_S)
     tendons, joints = model.digit_tendons[1].stop, model.digits[1].joints.stop

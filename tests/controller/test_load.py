@@ -18,7 +18,7 @@ def ways(model: HandModel, since: float, durations: tuple[float, ...]) -> tuple[
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("durations", [(0.5,) * 4, (0.5, 0.4, 0.5, 0.6)])
-def test_a_way_counts_from_when_it_began(
+def test_a_motion_depends_on_the_time_since_its_start_only(
     hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
     """All digits may share one duration, or each has its own."""
@@ -43,7 +43,7 @@ def load_by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_a_load_is_what_each_digit_can_bear(hand: str, request: pytest.FixtureRequest) -> None:
+def test_the_load_of_each_digit_is_limited_separately(hand: str, request: pytest.FixtureRequest) -> None:
     """Include digits within the bounds, below and above. The limit of one digit does not change the others."""
     model: HandModel = request.getfixturevalue(hand)
     goals, rng = ways(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)

@@ -44,7 +44,7 @@ def disabled(run: Bench) -> bool:
     return all(motor.nibble != 1 for motor in run.peer.motors)
 
 
-def test_from_silence_to_action_and_home(model: HandModel) -> None:
+def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> None:
     run = bench(model, LiveProgram())
     run.until(Mode.ACTIVE)
     assert run.modes == HAPPY
@@ -161,7 +161,7 @@ def test_a_second_controller_that_comes_before_arming_prevents_it(hand: Bench, m
     assert ids_sent(hand, ENABLE) == []
 
 
-def test_a_second_controller_in_action_means_relax(hand: Bench) -> None:
+def test_a_second_controller_in_active_mode_causes_relax(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     hand.run(1.0)
     assert hand.tick(extra=(foreign_command(hand),)).action == Action.RELAX
@@ -202,7 +202,7 @@ def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(hand: Bench)
     assert "ring_motor" not in hand.state.failure
 
 
-def test_joint_encoders_that_say_nothing_are_missed_too(jamia11: HandModel) -> None:
+def test_silent_joint_encoders_are_reported_as_missing(jamia11: HandModel) -> None:
     run = bench(jamia11, LiveProgram())
     joint_ids = {0x1B0, 0x1B1, 0x1B2}
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in joint_ids]
@@ -234,7 +234,7 @@ def test_a_motor_that_does_not_enable_is_named_and_all_are_disabled_again(hand: 
     assert disabled(hand)
 
 
-def test_a_motor_that_does_not_confirm_means_remove_power(hand: Bench) -> None:
+def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     hand.peer.motors[3].deaf.add(0xFD)
     hand.tick(STOP)
@@ -266,7 +266,7 @@ def test_a_drive_error_in_action(hand: Bench) -> None:
     assert hand.state.unconfirmed == ()
 
 
-def test_a_lost_bus_cuts(hand: Bench) -> None:
+def test_a_lost_bus_causes_a_cut(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     out = hand.tick(io=(IoEvent("enodev", "local:x"),))
     assert (out.mode, out.action) == (Mode.CUT, Action.CUT)
@@ -301,7 +301,7 @@ def test_a_cut_during_relax_wins(hand: Bench) -> None:
     assert "H13" in hand.state.failure, "what began it"
 
 
-def test_relax_lets_go_gently_and_in_time(hand: Bench) -> None:
+def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     hand.run(2.0)
     hand.tick('{"do": "hold", "tension_N": {"index": 60, "thumb": 50}, "rate_N_per_s": 1000}')
@@ -318,7 +318,7 @@ def test_relax_lets_go_gently_and_in_time(hand: Bench) -> None:
     assert (goals[-1] <= 5.0 + 500.0 * hand.controller.model.period + 1e-6).all()
 
 
-def test_a_program_that_gives_up_relaxes_and_tells_why(quick: HandModel) -> None:
+def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(quick: HandModel) -> None:
     run = bench(quick, LiveProgram())
     run.peer.tear(1)  # its load cell stays at zero
     run.until(Mode.DONE, 20.0)
@@ -326,7 +326,7 @@ def test_a_program_that_gives_up_relaxes_and_tells_why(quick: HandModel) -> None
     assert run.modes == HAPPY + HOME
 
 
-def test_clear_drops_latches_but_arms_nothing(hand: Bench) -> None:
+def test_clear_resets_latched_faults_and_arms_no_drive(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     hand.tick(extra=(foreign_command(hand),))
     assert hand.state.latched
@@ -344,7 +344,7 @@ def test_every_mode_change_is_reported_once(hand: Bench) -> None:
     assert told == [f"{a.name} -> {b.name}" for a, b in zip(hand.modes, hand.modes[1:], strict=False)]
 
 
-def test_while_safety_holds_the_programs_time_stands_still(hand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_of_a_program_stops_during_a_hold_by_safety(hand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     hand.until(Mode.ACTIVE)
     hand.run(1.0)
     before = hand.state

@@ -92,7 +92,7 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
             assert cost(F, G, K * np.array(change), weights[which]) > best
 
 
-def test_weights_do_what_their_names_say(jamia: HandModel) -> None:
+def test_each_weight_changes_the_gain_of_its_name(jamia: HandModel) -> None:
     period = jamia.period
     usual = design_motion(jamia.space, Gains(), period)
     precise = design_motion(jamia.space, Gains(motion=MotionGains(position_error_m=2e-4)), period)

@@ -51,7 +51,7 @@ def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[Event
 
 
 @pytest.mark.parametrize(("hand", "rate_hz"), RUNS if NIGHTLY else SAMPLE)
-def test_the_innovations_are_as_they_should_be_at_any_rate(hand: str, rate_hz: float) -> None:
+def test_innovations_have_their_predicted_variance_at_any_rate(hand: str, rate_hz: float) -> None:
     """Regression: samples up to 0.5 ms early gave an NIS of 3 to 5 at 300, 450 and 640 Hz."""
     for seed in SEEDS:
         nis, events = innovations(hand, rate_hz, seed)

@@ -49,6 +49,6 @@ def test_the_time_that_is_named_is_enough() -> None:
     check_speed(task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), DigitModel.all_of(ELEVEN), "t")
 
 
-def test_a_close_is_no_faster_either() -> None:
+def test_the_speed_of_a_close_phase_is_limited() -> None:
     with pytest.raises(ValueError, match="less than or equal to 700"):
         task(CLOSE | {"speed_deg_s": 701.0})

@@ -204,7 +204,7 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_one_encoder_after_the_other_is_all_of_them_at_once(tmp_path: Path, seed: int) -> None:
+def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed: int) -> None:
     """The sequential update equals the matrix form of the Kalman filter. Some frames are too old."""
     model = HandModel.of(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, of, state = np.random.default_rng(seed), constant_tables_of(model), active_state(model)

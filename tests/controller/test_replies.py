@@ -49,19 +49,19 @@ def test_a_request_of_another_host_and_its_answer_in_one_tick_are_both_reported(
     assert "(heard: 0x001, " in silent.state.failure
 
 
-def test_the_first_answer_to_the_first_question_is_no_surplus(silent: Bench) -> None:
+def test_the_first_reply_to_the_first_request_is_not_in_excess(silent: Bench) -> None:
     silent.until(Mode.INVENTORY)
     assert not silent.tick().events
     assert not silent.tick().events
 
 
-def test_other_frames_do_not_make_a_duplicate_a_masquerade(run: Bench) -> None:
+def test_frames_of_others_do_not_make_a_duplicate_a_second_node(run: Bench) -> None:
     """Only the frames of a motor that were decoded as feedback count."""
     run.to_host = lambda frames: [*frames, *[f for f in frames if f.can_id == 0x11], Frame(0x11, bytes([0x12] * 8))]
     assert faults(run.tick()) == ["B05", "B09"]
 
 
-def test_two_answers_with_other_bytes_are_a_masquerade_whatever_lies_between(run: Bench) -> None:
+def test_two_different_replies_show_a_second_node_despite_frames_between_them(run: Bench) -> None:
     run.to_host = lambda frames: [*frames, Frame(0x11, bytes(7)), UNASKED]
     assert "B06" in faults(run.tick())
 
@@ -74,7 +74,7 @@ def test_two_answers_with_other_bytes_are_a_masquerade_whatever_lies_between(run
     (lambda cell: [cell, with_other_tension(cell), with_older_counter(cell), with_older_counter(cell)], ["B06", "B07"]),
     (lambda cell: [cell, with_older_counter(cell)], ["B07"]),
 ])  # fmt: skip
-def test_load_cells_count_by_what_answers_this_tick(run, behind, found) -> None:
+def test_only_load_cell_replies_of_the_present_tick_count(run, behind, found) -> None:
     run.to_host = lambda frames: [f for frame in frames for f in (behind(frame) if is_cell(run, frame) else [frame])]
     assert sorted(faults(run.tick())) == found
 
@@ -97,7 +97,7 @@ def with_other_tension(cell: Frame) -> Frame:
     (1, "AA", "B05"), (1, "AB", "B06"), (1, "ABB", "B06"), (1, "AAB", "B06"), (1, "AAA", "B05"),
     (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
 ])  # fmt: skip
-def test_only_what_comes_beyond_the_questions_is_compared_with_the_last_one_due(run, owed, came, found) -> None:
+def test_only_replies_in_excess_are_compared_with_the_expected_reply(run, owed, came, found) -> None:
     """A late reply to an older request may have other bytes than the new reply."""
     if owed == 2:
         run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]

@@ -38,7 +38,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
     np.testing.assert_array_equal(law.held, kept)
 
 
-def test_without_a_limit_the_goal_is_what_is_asked(jamia: HandModel) -> None:
+def test_without_a_limit_the_goal_is_not_changed(jamia: HandModel) -> None:
     law, command = step(
         jamia, idle(jamia), estimate_under_tension(jamia, 0.0), holding_goals(jamia, HIGH_N, AT_ONCE), 0.0
     )

@@ -189,7 +189,7 @@ def test_the_trim_fades_and_the_goal_is_reached(holding: Bench) -> None:
     np.testing.assert_allclose(tension.mean(axis=0), 14.0, atol=1.0)
 
 
-def test_two_requests_add_up_and_the_way_back_is_open(holding: Bench, jamia: HandModel) -> None:
+def test_two_changes_of_gains_add_up_and_can_be_undone(holding: Bench, jamia: HandModel) -> None:
     holding.tick(change({"tension.force_N": 30.0}))
     holding.tick(change({"motion.tension_feedback": 0.1}))
     holding.run(0.1)

@@ -68,7 +68,7 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
     assert held.goals[-1].kind == Kind.LIMP, "what does not hold is left alone"
 
 
-def test_the_limit_is_kept_and_said_once(model: HandModel) -> None:
+def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None:
     held = GraspRun(model, limit=26.0)
     held.tick(held.quiet, 1.0)
     for step in range(1, 8):
@@ -135,7 +135,7 @@ def grasp(limit: str) -> TaskProgram:
 
 
 @pytest.mark.parametrize(("hand", "friction", "rate"), [("jamia", 0.3, 5.0), ("jamia11", 0.2, 9.0)])
-def test_a_growing_load_takes_the_object_only_without_reaction(
+def test_a_growing_load_removes_the_object_only_without_slip_reaction(
     hand: str, friction: float, rate: float, tmp_path: Path
 ) -> None:
     """Load, plant and seed are equal. Only the key of the task that permits more force differs."""

@@ -130,7 +130,7 @@ def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
             np.testing.assert_allclose(reduced_tip_lever(digit, q), expected, atol=1e-15)
 
 
-def test_a_force_at_the_tip_is_found_again(model: HandModel) -> None:
+def test_a_tip_force_is_recovered_from_its_tensions(model: HandModel) -> None:
     """Tensions in balance with a normal force at the tip give this force."""
     rng = np.random.default_rng(6)
     for digit in model.digits:

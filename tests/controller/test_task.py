@@ -70,7 +70,7 @@ def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
             check_task(task, hand.digit_names, ceiling, path.name, shapes_of_digits(hand))
 
 
-def test_a_list_needs_a_digit_with_as_many_tendons(tmp_path: Path) -> None:
+def test_a_list_has_one_number_for_each_coordinate_of_the_digit(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
     path.write_text(GOOD.replace("angle_deg = 10.0", "angle_deg = { index = [10.0, 5.0, 5.0], thumb = 3.0 }"))
     task = load_task(path)
@@ -120,7 +120,7 @@ def _written(folder: Path, text: str) -> Path:
     return folder / "written.toml"
 
 
-def test_phases_are_what_their_kind_says(tmp_path: Path) -> None:
+def test_phases_have_the_type_of_their_kind(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
     path.write_text(GOOD + '[[phase]]\nkind = "close"\n[[phase]]\nkind = "release"\n')
     assert [type(phase) for phase in load_task(path).phase] == [Move, Hold, Close, Release]
@@ -151,7 +151,7 @@ def test_mistake_in_a_task_is_named(refusal, change: tuple[str, str], where: str
     assert said in line
 
 
-def test_no_phases_is_no_task(refusal) -> None:  # type: ignore[no-untyped-def]
+def test_a_task_without_phases_is_refused(refusal) -> None:  # type: ignore[no-untyped-def]
     assert "phase" in refusal('schema = 1\nname = "t"\nphase = []\n')
 
 
@@ -168,14 +168,14 @@ def test_a_value_applies_to_one_digit_or_to_all_digits() -> None:
     assert value_for_digit({"index": 4.0}, "thumb") is None
 
 
-def test_a_table_of_no_digits_asks_nothing_of_any(tmp_path: Path) -> None:
+def test_an_empty_table_of_digits_is_accepted(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
     path.write_text(GOOD.replace("{ index = 20.0 }", "{}"))
     check_task(load_task(path), ("index", "thumb"), 110.0, "t")
 
 
 @pytest.mark.parametrize("name", [TARE_PHASE, "start"])
-def test_a_phase_is_not_named_like_what_the_controller_knows_by_its_name(refusal, name: str) -> None:  # type: ignore[no-untyped-def]
+def test_a_phase_may_not_have_a_reserved_name(refusal, name: str) -> None:  # type: ignore[no-untyped-def]
     """The controller treats the names tare and start in a special way."""
     assert "must not be named" in refusal(GOOD.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"'))
 

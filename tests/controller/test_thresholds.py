@@ -13,7 +13,7 @@ FEEDBACK = "torque_feedback = true\n"
 
 
 @pytest.mark.parametrize("protocol", sorted(OPTIONS))
-def test_a_hand_of_many_motors_is_no_flood(protocol: str, tmp_path: Path) -> None:
+def test_the_flood_limit_grows_with_the_number_of_motors(protocol: str, tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol], FEEDBACK * (protocol == "odrive"))))
     drives, node = make_drives(hand), make_sensors(hand)
     assert max_frames_per_tick(drives, node) == 64

@@ -42,7 +42,7 @@ def foreign(run: Bench) -> Frame:
 
 @pytest.mark.parametrize("request_", [QUICK, MOVE])
 @pytest.mark.parametrize("fault", [False, True])
-def test_no_request_pulls_while_the_hand_relaxes(quick: HandModel, request_: str, fault: bool) -> None:
+def test_no_request_raises_the_tension_during_relax(quick: HandModel, request_: str, fault: bool) -> None:
     run = acting(quick)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
@@ -79,7 +79,7 @@ def fastest_setpoint_fall(run: Bench, index: int = 0) -> float:
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_over_tension_is_let_go_of_four_times_as_fast(quick: HandModel, late: bool) -> None:
+def test_over_tension_is_relaxed_four_times_as_fast(quick: HandModel, late: bool) -> None:
     """The faster ramp starts in the tick in which a load cell reports the tension, also while the hand relaxes."""
     run = acting(quick)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
@@ -97,7 +97,7 @@ def test_over_tension_is_let_go_of_four_times_as_fast(quick: HandModel, late: bo
 
 
 @pytest.mark.parametrize("asked", [STOP, CUT])
-def test_a_fault_on_the_way_home_is_a_failure(quick: HandModel, asked: str) -> None:
+def test_a_fault_during_relax_makes_the_run_fail(quick: HandModel, asked: str) -> None:
     run = acting(quick)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
@@ -112,7 +112,7 @@ def test_a_fault_on_the_way_home_is_a_failure(quick: HandModel, asked: str) -> N
     assert any(event.level == "error" and "fault H13" in event.text for event in run.events if event.name == "mode")
 
 
-def test_after_a_fault_while_arming_nothing_more_is_enabled(quick: HandModel) -> None:
+def test_after_a_fault_during_arming_no_further_drive_is_enabled(quick: HandModel) -> None:
     run = bench(quick, LiveProgram())
     run.peer.motors[1].deaf.add(0xFC)
     run.until(Mode.ARMING)
@@ -126,7 +126,7 @@ def test_after_a_fault_while_arming_nothing_more_is_enabled(quick: HandModel) ->
 
 
 @pytest.mark.parametrize("request_", [QUICK, MOVE])
-def test_a_run_with_goals_of_its_own_takes_no_others(quick: HandModel, request_: str) -> None:
+def test_a_run_with_its_own_goals_refuses_goals_of_clients(quick: HandModel, request_: str) -> None:
     """A tare under tension would shift the readings of all later runs."""
     run = bench(quick, CommissionProgram())
     run.until(Mode.ACTIVE)
@@ -138,7 +138,7 @@ def test_a_run_with_goals_of_its_own_takes_no_others(quick: HandModel, request_:
     assert not out.telemetry.motor_torque_goal.any()
 
 
-def test_before_it_acts_a_hand_takes_no_goals(quick: HandModel) -> None:
+def test_a_hand_refuses_goals_before_active_mode(quick: HandModel) -> None:
     run = bench(quick, LiveProgram())
     for _ in range(60):
         out = run.tick()

@@ -59,7 +59,7 @@ def bench() -> Iterator[Bench]:
     made.rig.close()
 
 
-def test_from_silence_to_torque_and_back(bench: Bench) -> None:
+def test_a_drive_goes_from_silent_to_enabled_and_back(bench: Bench) -> None:
     bench.until(DriveTarget.POLL, Phase.READY)
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(200):
@@ -76,7 +76,7 @@ def test_from_silence_to_torque_and_back(bench: Bench) -> None:
     assert [state.misread for state in bench.states] == [0] * 4
 
 
-def test_silence_lets_the_watchdog_fire_and_clearing_leads_back_to_ready(bench: Bench) -> None:
+def test_the_watchdog_fires_on_silence_and_clear_makes_the_drive_ready(bench: Bench) -> None:
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(40):  # 80 ms, and the watchdog is set to 50 ms
         bench.tick(DriveTarget.LISTEN)

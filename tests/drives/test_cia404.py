@@ -339,7 +339,7 @@ def test_late_answers_are_delays_and_no_second_node() -> None:
 
 
 @pytest.mark.nightly
-def test_a_twin_is_found() -> None:
+def test_two_amplifiers_with_one_number_are_found() -> None:
     found, ticks = faults_of(with_amplifiers(), 0, inject("twin node=sensors"))
     assert "B06" in found
     assert 0 <= ticks <= 2
@@ -401,13 +401,13 @@ def test_a_drive_on_an_amplifier_s_identifier_is_a_mistake() -> None:
         hand_from_content({**content, "motor": [*motors, *content["motor"][1:]]}, "hand.toml")
 
 
-def test_keys_of_amplifiers_beside_the_own_node_are_a_mistake() -> None:
+def test_keys_of_amplifiers_are_refused_for_the_sensor_node() -> None:
     content = load_hand("jamia").content
     with pytest.raises(ConfigError, match=r'sensor_node.node_ids: given; expected no such key, it belongs to protocol'):
         hand_from_content({**content, "sensor_node": {**content["sensor_node"], "node_ids": [0x21]}}, "hand.toml")
 
 
-def test_hands_from_before_keep_their_content_and_identity() -> None:
+def test_hands_without_amplifiers_keep_their_content_and_identity() -> None:
     hand = load_hand("jamia")
     assert set(hand.content["sensor_node"]) == {
         "bus", "sync_id", "base_id", "tendons", "joints", "joint_decimation", "tension_noise_N",

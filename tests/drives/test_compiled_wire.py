@@ -94,7 +94,7 @@ def wants(chance: random.Random) -> Iterator[DriveTarget]:
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", VARIANTS)
-def test_compiled_code_and_the_state_machine_are_one(name: str, seed: int) -> None:
+def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int) -> None:
     drive, begin, t_ns, heard = enable_drive(name)
     chance = random.Random(f"{name} {seed}")
     state, wired, steady = begin, Wired([drive], NO_SENSORS), 0

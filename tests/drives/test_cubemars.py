@@ -35,7 +35,7 @@ def first(bench: Bench) -> CubemarsNode:
     return node
 
 
-def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None:
+def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench) -> None:
     bench.until(DriveTarget.POLL, Phase.READY)
     assert servo_torques(bench) == [0.0] * 4
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
@@ -93,7 +93,7 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(bench: Bench, error: Error
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
 
 
-def test_missing_guards_are_reported(tmp_path: Path) -> None:
+def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
     """An AK80-9 obeys 18 N m, so only the host limits its torque to the limit of the hand."""
     told = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_guards)
     for guard in ("watchdog", "no torque limit", "2% of full-scale torque", "ranges cannot be read back"):
@@ -130,7 +130,7 @@ def test_invalid_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
         bench.drives[0].advance(bench.states[0], bench.k * 2_000_000, DriveTarget.ENABLE, torque)
 
 
-def test_of_the_contract_only_what_needs_a_state_in_the_feedback_cannot_be_kept() -> None:
+def test_a_cubemars_drive_fails_only_checks_that_need_a_reported_state() -> None:
     place = VirtualBench("cubemars")
     rig = rig_on(place, "cubemars", 0.1)
     found = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
@@ -144,7 +144,7 @@ def test_of_the_contract_only_what_needs_a_state_in_the_feedback_cannot_be_kept(
     assert place.bench.motors[0].servo.torque == 0.0
 
 
-def test_a_motor_that_does_not_disable_is_found_out() -> None:
+def test_a_motor_that_does_not_disable_is_detected() -> None:
     place = VirtualBench("cubemars", "deaf")
     rig = rig_on(place, "cubemars", 0.5)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 1.0)

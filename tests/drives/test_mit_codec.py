@@ -175,7 +175,7 @@ DATA = st.one_of(
 
 
 @given(STATES, IDENTIFIERS, DATA, st.sampled_from(DriveTarget), st.integers(0, 2))
-def test_any_frame_may_come_in_any_state(
+def test_any_frame_is_survived_in_any_state(
     state: DriveState, can_id: int, data: bytes, target: DriveTarget, bus: int
 ) -> None:
     drive = drive_of()

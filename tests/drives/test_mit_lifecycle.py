@@ -130,7 +130,7 @@ def test_short_replies_and_those_of_another_motor_are_counted_and_not_read(rig: 
     assert (rig.state.phase, rig.state.feedback_count) == (Phase.SILENT, 0)
 
 
-def test_an_open_request_is_repeated_only_after_its_time(rig: MotorRig) -> None:
+def test_an_open_request_is_repeated_only_after_its_timeout(rig: MotorRig) -> None:
     rig.motor.mute.add(10)
     for _ in range(50):
         rig.tick(DriveTarget.POLL)

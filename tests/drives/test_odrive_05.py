@@ -59,7 +59,7 @@ def test_odrive_05_is_not_asked_for_missing_messages():
     assert rig.state.phase == Phase.ENABLED
 
 
-def test_a_scan_names_it():
+def test_a_scan_names_odrive_05():
     place = VirtualBench("odrive", **OLD)
 
     def hear(bus, for_s, seen):
@@ -85,7 +85,7 @@ def test_options_missing_in_odrive_05_are_refused(options, said):
         make_drive(motor_on_bench("odrive", NODE, 0.1, options), 0)
 
 
-def test_its_heartbeat_is_the_vendors():
+def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():
     folder = Path(odrive_can.__file__).parent
     dbc = cantools.database.load_file(next(folder.rglob("odrive-cansimple-0.5*.dbc")))
     message = dbc.get_message_by_name("Axis1_Heartbeat")

@@ -116,7 +116,7 @@ def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, loss
     assert len(lost) == losses
 
 
-def test_an_odrive_that_takes_no_orders_is_a_fault(odrive: Bench) -> None:
+def test_an_odrive_that_ignores_commands_is_a_fault(odrive: Bench) -> None:
     odrive.until(DriveTarget.POLL, Phase.READY)
     first_odrive(odrive)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]
     assert "after 5 enable commands" in error_of_first_drive(odrive, Phase.FAULT, DriveTarget.ENABLE, 600)
@@ -165,7 +165,7 @@ def test_endpoints_hold_what_the_hand_file_says(odrive: Bench) -> None:
     assert struct.unpack("<f", node.endpoints[203])[0] == pytest.approx(0.8)
 
 
-def test_a_watchdog_that_cannot_be_verified_is_said(tmp_path: Path) -> None:
+def test_a_watchdog_that_cannot_be_verified_is_reported(tmp_path: Path) -> None:
     path = hand_file(tmp_path, ["odrive"])
     bench = Bench(path)
     assert isinstance(bench.drives[0], OdriveDrive)
@@ -208,7 +208,7 @@ def test_a_drive_that_restarts_in_motion_is_a_fault(cia402: Bench) -> None:
     assert cia402.rig.world.plant.motors["index_motor"].servo.torque == 0.0
 
 
-def test_a_bus_without_sync_is_said(cia402: Bench) -> None:
+def test_a_bus_without_sync_is_reported(cia402: Bench) -> None:
     drive = cia402.drives[0]
     assert isinstance(drive, Cia402Drive)
     for _ in range(200):
@@ -228,7 +228,7 @@ def strict(bench: Bench) -> Bench:
     return bench
 
 
-def test_drives_that_take_no_sync_with_a_counter_are_said_and_have_an_empty_one(tmp_path: Path) -> None:
+def test_drives_that_refuse_a_sync_counter_are_reported_and_get_an_empty_sync(tmp_path: Path) -> None:
     path = hand_file(tmp_path, ["cia402"])
     bench = strict(Bench(path))
     for _ in range(200):

@@ -25,7 +25,7 @@ def bench(protocol: str, tmp_path: Path) -> Iterator[Bench]:
     made.rig.close()
 
 
-def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None:
+def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench) -> None:
     bench.until(DriveTarget.POLL, Phase.READY)
     assert servo_torques(bench) == [0.0] * 4
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
@@ -75,7 +75,7 @@ def test_dead_host_loses_torque_until_an_operator_clears(bench: Bench) -> None:
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
 
 
-def test_a_cut_takes_the_torque_away_in_the_same_tick_and_disarms(bench: Bench) -> None:
+def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: Bench) -> None:
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     bench.tick(DriveTarget.ENABLE, 0.05)
     assert 0.0 not in servo_torques(bench)

@@ -40,7 +40,7 @@ def drive_of(**options: object) -> RobstrideMitDrive:
     return drive
 
 
-def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None:
+def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench) -> None:
     bench.until(DriveTarget.POLL, Phase.READY)
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(200):
@@ -67,7 +67,7 @@ def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None
         (1 << simulated.REPORT_SHIFT + 6, "unknown fault bit 14", Cause.UNKNOWN),
     ],
 )
-def test_faults_are_read_before_torque_and_go_by_order_only(bench: Bench, fault: int, words: str, cause: Cause) -> None:
+def test_faults_are_read_before_torque_and_await_a_clear(bench: Bench, fault: int, words: str, cause: Cause) -> None:
     bench.until(DriveTarget.POLL, Phase.READY)
     first(bench).trip(fault)
     for _ in range(20):

@@ -191,7 +191,7 @@ def without_unknown_counters(wired: Wired) -> bytes:
     st.binary(max_size=64),
     st.integers(0, 2),
 )
-def test_any_frame_may_come(can_id: int, mark: int, data: bytes, bus: int) -> None:
+def test_any_sensor_frame_is_survived(can_id: int, mark: int, data: bytes, bus: int) -> None:
     node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
     wired = node_state(node, 5)
     before, here = without_unknown_counters(wired), bus == 0 and can_id in node.node_ids
@@ -235,7 +235,7 @@ def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
     assert list(wired.joints.values()) == pytest.approx(angles, abs=math.pi / 4096)
 
 
-def test_a_group_knows_how_often_it_came(node: SensorNode) -> None:
+def test_a_frame_group_counts_its_frames(node: SensorNode) -> None:
     wired = Wired((), node)
     for k in (5, 6):
         sync = wired.sync(tick_of(node, k))

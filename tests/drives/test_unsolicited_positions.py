@@ -34,7 +34,7 @@ TASK = Task.model_validate(
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_tension_does_not_swing_by_positions_of_another_time(seed: int) -> None:
+def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
     """The tensions of a hand without springs swung by 15 N RMS, which ended the default task with N14b."""
     model = HandModel.of(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
     with Simulator(model.hand, None, seed, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:

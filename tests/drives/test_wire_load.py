@@ -64,7 +64,7 @@ def test_eleven_motors_fit_where_the_plan_says() -> None:
     assert measured_tick_s(path, [], 5_000_000) == pytest.approx(planned, rel=0.02)
 
 
-def test_a_wire_that_is_asked_for_too_much_is_full_and_answers_come_late(tmp_path: Path) -> None:
+def test_an_overloaded_wire_is_full_and_replies_come_late(tmp_path: Path) -> None:
     bench = Bench(hand_file(tmp_path, ["mit"]), ["queue=16"], period_ns=1_000_000)
     for _ in range(400):
         bench.tick(DriveTarget.POLL)

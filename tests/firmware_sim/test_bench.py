@@ -96,7 +96,7 @@ def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(kind: str, inerti
         assert 0.9 * shaft.top_speed < sign * speed <= shaft.top_speed
 
 
-def test_a_dm4310_at_one_newton_metre() -> None:
+def test_a_dm4310_turns_at_200_rpm_at_one_newton_metre() -> None:
     _, speed = speed_at("mit", 1.0)
     assert speed == pytest.approx(200.0 / 60.0 * math.tau, rel=0.01)
 

@@ -44,7 +44,7 @@ def test_a_free_object_gains_the_impulse_of_its_load_and_weight(tmp_path: Path) 
     assert plant.engine.object_speed() == pytest.approx(abs(impulse) / 0.2, rel=0.01)
 
 
-def test_the_load_stands_in_the_truth_and_begins_when_it_should(tmp_path: Path) -> None:
+def test_the_truth_file_has_the_load_from_its_start_time(tmp_path: Path) -> None:
     truth = tmp_path / "truth"
     rig = Rig("jamia", scene=scene(tmp_path, support=TABLE), truth_path=str(truth), homed=True)
     for k in range(100):

@@ -65,7 +65,7 @@ def test_excursion_and_stretch_add_up() -> None:
     assert 0.005 * index == pytest.approx(0.003 * sum(plant.engine.q[:3]) + 14.0 / 1e5, abs=2e-6)
 
 
-def test_friction_leaves_the_far_joints_behind() -> None:
+def test_friction_makes_the_far_joints_lag() -> None:
     plant = free()
     for k in range(600):
         for motor in plant.motors.values():
@@ -117,7 +117,7 @@ def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
     assert 2 * math.pi / period == pytest.approx(math.sqrt(1e5 * 0.005**2 / 1.3e-4), rel=0.02)
 
 
-def test_the_stops_hold() -> None:
+def test_joint_stops_limit_the_angles() -> None:
     plant = free()
     pull(plant, 0.55, 1.0)
     degrees = np.degrees(plant.engine.q)

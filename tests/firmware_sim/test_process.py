@@ -79,7 +79,7 @@ def ask(link: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_it_serves_and_ends_with_its_truth_complete(start: Start, run_folder: Path, number: signal.Signals) -> None:
+def test_signals_end_the_simulator_with_complete_truth(start: Start, run_folder: Path, number: signal.Signals) -> None:
     process = start("--hand", "jamia", "--bus", "local:t", "--scene", "sphere", "--seed", "4")
     link = attach(run_folder / "t.bus")
     answer = ask(link, 3, ENABLE)
@@ -253,7 +253,7 @@ def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
         assert word in text
 
 
-def test_it_is_one_process(start: Start) -> None:
+def test_the_simulator_is_one_process(start: Start) -> None:
     process = start("--hand", "jamia", "--bus", "local:alone")
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     if not children.exists():

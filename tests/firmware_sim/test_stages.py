@@ -38,7 +38,7 @@ friction = 0.1
 """
 
 
-def test_gravity_turns_and_stays() -> None:
+def test_gravity_turns_and_keeps_its_new_direction() -> None:
     stages = Stages((read_stage(SIDEWAYS), read_stage({"last_s": 1.0})), UPRIGHT)
     assert stages.duration == 3.5
     assert stages.at(0.0).gravity == UPRIGHT

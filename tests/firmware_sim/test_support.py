@@ -33,7 +33,7 @@ def test_the_table_sinks_after_a_grasp_of_a_second_and_a_half() -> None:
 
 
 @pytest.mark.parametrize("digits", [(5, 5, 5, 0), (5, 0, 0, 5), (0.9, 0.9, 0.9, 9), (0, 0, 0, 9)])
-def test_less_than_a_grasp_does_not_count(digits: tuple[float, ...]) -> None:
+def test_contact_with_too_few_digits_is_no_grasp(digits: tuple[float, ...]) -> None:
     assert run(SupportTable(SUPPORT, OPPOSED), 0.0, 5.0, *digits) == 0.0
 
 

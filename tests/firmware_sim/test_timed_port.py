@@ -147,7 +147,7 @@ def test_frames_received_while_sending_are_not_lost(lab: Lab) -> None:
     assert [frame.can_id for frame in lab.host.drain()] == [0x11]
 
 
-def test_a_disturbed_wire_puts_the_host_off_the_bus_and_is_reported(lab: Lab) -> None:
+def test_a_disturbed_wire_puts_the_host_into_bus_off_and_is_reported(lab: Lab) -> None:
     assert isinstance(lab.port, TimedPort)
     lab.port.wire.disturbed = 32
     lab.host.send([Frame(0x700, b"")])

@@ -217,6 +217,6 @@ def test_the_program_of_the_page_grasps(capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out.endswith("True\n")
 
 
-def test_another_plant_behaves_otherwise() -> None:
+def test_perturbed_plants_differ_from_the_nominal_one() -> None:
     episodes = [episode(make(TRACK, perturb=perturb), 0, 5) for perturb in (None, {"friction": 1.5})]
     assert episodes[0] != episodes[1]

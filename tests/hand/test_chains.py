@@ -34,7 +34,7 @@ def test_random_hands_have_all_counts_of_links():
     assert {len(random_hand(seed).digit[0].joints) for seed in SEEDS} == set(range(1, 9))
 
 
-def test_dynamics_and_kinematics_are_pinocchio_s(chains, rng):
+def test_dynamics_and_kinematics_equal_those_of_pinocchio(chains, rng):
     hand, digits = chains
     for digit in digits:
         model = pinocchio_by_hand(digit, hand.mount.gravity_m_s2)
@@ -97,7 +97,7 @@ def test_exports_and_the_simulator_s_own_model_are_the_same_hand(chains, rng, tm
                 assert agree(dynamics.mass_matrix(digit, q[own]), full[own, own])
 
 
-def test_urdf_is_the_same_hand(chains, rng):
+def test_the_urdf_describes_the_same_hand(chains, rng):
     hand, digits = chains
     model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(hand.mount.gravity_m_s2)
@@ -183,7 +183,7 @@ def test_a_tree_is_the_same_in_both_mujoco_models(tree, rng, tmp_path):
             assert agree(whole.mass_matrix(q), full)
 
 
-def test_a_tree_is_pinocchio_s(tree, rng):
+def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(tree, rng):
     hand, whole = tree
     model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(hand.mount.gravity_m_s2)
@@ -204,7 +204,7 @@ def test_a_tree_is_pinocchio_s(tree, rng):
             assert np.allclose(points_of_digit[-1], place.translation, atol=1e-12)
 
 
-def test_the_log_s_transforms_of_a_tree_are_the_model_s(tree, rng):
+def test_logged_transforms_of_a_tree_equal_the_model(tree, rng):
     hand, whole = tree
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
     place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
@@ -217,7 +217,7 @@ def test_the_log_s_transforms_of_a_tree_are_the_model_s(tree, rng):
         assert np.allclose(place[f"{digit.name}_tip"][0], points_of_digit[-1], atol=1e-12)
 
 
-def test_a_digit_on_a_resting_carrier_is_that_digit_alone(tree, rng):
+def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(tree, rng):
     """Compare a digit's own weight with that in the tree, where all digits that it is mounted on are at zero."""
     hand, whole = tree
     for digit in whole.digits:

@@ -79,7 +79,7 @@ def test_every_key_has_a_description() -> None:
             assert value.get("description") or "$ref" in value, f"{name}.{key}"
 
 
-def test_the_verb_prints_and_writes_it(
+def test_config_schema_prints_or_writes_the_schema(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -155,13 +155,13 @@ def test_inverse_near_the_edge_of_reach(digits):
             assert np.allclose(inverse_kinematics(digit, x, y, angle)[0], q, atol=1e-15 / bend)
 
 
-def test_inverse_within_the_fold():
+def test_inverse_kinematics_near_a_folded_posture():
     thumb = DigitModel.of(load_hand("jamia"), "thumb")
     assert inverse_kinematics(thumb, 0.004, 0.0) == ()
     assert np.allclose(np.abs(inverse_kinematics(thumb, 0.005, 0.0)[0]), (0.0, math.pi), atol=1e-6)
 
 
-def test_inverse_says_what_it_needs():
+def test_inverse_kinematics_names_missing_input():
     with pytest.raises(ValueError, match="parallel hinges"):
         inverse_kinematics(DigitModel.of(random_hand(1, 3), "d0"), 0.03, 0.01, 0.0)
     with pytest.raises(ValueError, match="a direction"):

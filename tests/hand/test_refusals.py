@@ -99,7 +99,7 @@ def test_no_number_may_be_absurdly_large(refusal, content, path, value):
 
 
 @pytest.mark.parametrize("name", FLAT)
-def test_a_missing_key(refusal, name):
+def test_a_missing_key_is_refused(refusal, name):
     for path, table in tables(CONTENT[name]):
         for key in table:
             if key in ("schema", "sensor_node") or "mesh" in key:  # they may be absent
@@ -118,7 +118,7 @@ def test_a_missing_key(refusal, name):
 
 
 @pytest.mark.parametrize("name", packaged_hands())
-def test_an_unknown_key(refusal, name):
+def test_an_unknown_key_is_refused(refusal, name):
     for path, _ in tables(CONTENT[name]):
         line = refusal(with_value(CONTENT[name], (*path, "colour"), 1.0))
         place = key_path_text(CONTENT[name], path)

@@ -108,7 +108,7 @@ def test_one_number_holds_for_every_link() -> None:
     ]
 
 
-def test_all_stands_for_every_tendon_and_joint() -> None:
+def test_the_key_all_means_every_tendon_and_joint() -> None:
     hand = load_hand("jamia11")
     assert (hand.sensor_node.tendons, hand.sensor_node.joints) == (hand.tendon_names, hand.joints)
 
@@ -132,7 +132,7 @@ def test_resolved_content_is_resolved_already() -> None:
     assert resolve_templates(content).content == content
 
 
-def test_a_deep_table_is_a_mistake_and_no_crash() -> None:
+def test_a_deeply_nested_table_is_reported_without_a_crash() -> None:
     content = jamia()
     deep: dict[str, Any] = {}
     for _ in range(5000):

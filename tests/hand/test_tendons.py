@@ -92,7 +92,7 @@ def test_work_of_tendons_is_work_of_joints(digits, rng):
             assert math.isclose(tension @ travel, torque @ move, rel_tol=1e-12, abs_tol=1e-12)
 
 
-def test_flexing_winds(digits):
+def test_flexing_a_joint_winds_its_tendon(digits):
     for digit in digits:
         closes = digit.moment_arms.sum(axis=1) > 0.0
         assert ((excursions(digit, np.full(digit.joint_count, 0.5)) > 0.0) == closes).all(), "an extensor pays out"

@@ -20,7 +20,7 @@ def test_names_are_those_of_the_contract(hand):
     assert moving == list(hand.joints)
 
 
-def test_it_is_made_of_primitives_only(hand):
+def test_the_urdf_has_primitive_shapes_only(hand):
     shapes = {shape.tag for geometry in ET.fromstring(urdf_text(hand)).iter("geometry") for shape in geometry}
     assert shapes == {"box", "cylinder", "sphere"}
 
@@ -48,6 +48,6 @@ def test_inertias_are_possible(hand):
         assert max(x, y, z) <= (x + y + z) / 2 * (1 + 1e-12)
 
 
-def test_text_is_the_same_every_time(hand):
+def test_the_urdf_text_is_reproducible(hand):
     assert urdf_text(hand) == urdf_text(hand)
     assert urdf_text(hand).isascii()

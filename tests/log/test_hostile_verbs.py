@@ -63,7 +63,7 @@ def test_every_verb_refuses_a_hostile_log_in_one_line(small_log: Path, tmp_path:
         assert seconds < 1.0, what
 
 
-def test_names_out_of_a_file_command_neither_the_terminal_nor_the_disk(
+def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     inner = tmp_path / "inner"

@@ -177,7 +177,7 @@ def test_hostile_files_end_in_one_error_soon_and_in_little_memory(small_log: Pat
         assert int(kibibytes) < 256 << 10, name
 
 
-def test_names_of_a_file_reach_a_terminal_harmless() -> None:
+def test_names_from_a_log_are_escaped_on_the_terminal() -> None:
     assert printable_text("a\x1b[2J\n\u202eb\u00e4") == "a\\x1b[2J\\n\\u202eb\u00e4"
     assert printable_text("\ud800") == "\\ud800"
     assert len(printable_text("x" * 10_000)) < 300

@@ -93,7 +93,7 @@ def test_a_process_started_ahead_records_the_first_run(start: Callable[..., Reco
         assert recorder.close("done")["complete"]
 
 
-def test_a_process_started_ahead_in_vain_is_ended() -> None:
+def test_an_unused_recorder_process_started_ahead_is_ended() -> None:
     with process_ahead():
         (waiting,) = child._ahead
     assert waiting.child.returncode is not None
@@ -134,7 +134,7 @@ def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kill", range(RECORDER_KILLS))
-def test_a_kill_of_the_recorder_costs_a_quarter_of_a_second(
+def test_a_killed_recorder_loses_a_quarter_of_a_second(
     start: Callable[..., Recorder], tmp_path: Path, kill: int
 ) -> None:
     number = random.Random(kill).randrange(300, 900)

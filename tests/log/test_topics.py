@@ -70,7 +70,7 @@ def test_rosbags_reads_every_message(run_log: Path) -> None:
     assert topics["/actuator/index_motor/temperature"] == 10
 
 
-def test_rerun_reads_it_and_moves_the_hand(run_log: Path) -> None:
+def test_rerun_reads_a_log_and_moves_the_hand(run_log: Path) -> None:
     os.environ["RERUN_ANALYTICS"] = "off"
     rerun = pytest.importorskip("rerun")
     chunks = list(rerun.chunk.McapReader(run_log).stream())
@@ -107,7 +107,7 @@ def test_messages_do_not_depend_on_where_chunks_end(tmp_path: Path, borders: fro
         assert cut[topic] == expected, topic
 
 
-def test_equal_lockstep_runs_give_equal_files_but_for_the_wall(tmp_path: Path) -> None:
+def test_equal_lockstep_runs_give_equal_files_except_the_wall_clock(tmp_path: Path) -> None:
     runs = [synthetic.header(rate_hz=500, wall={"started": day, "pid": day}) for day in ("2026-01-01", "2026-01-02")]
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for path, run in zip(paths, runs, strict=True):
@@ -205,7 +205,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
     assert not any("target" in line for line in asked_lines)
 
 
-def test_cycle_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
+def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
     run = lively.header()
     ticks = list(lively.ticks(run))
     topics = by_topic(_write(tmp_path / "a", run, _bodies(run)))["/cycle"]

@@ -60,7 +60,7 @@ def test_corrected_energies_are_those_of_three_links() -> None:
 
 
 @pytest.mark.parametrize("i", [0, 1, 2])
-def test_corrected_torques_are_lagrange_s(i: int) -> None:
+def test_corrected_torques_follow_from_the_lagrangian(i: int) -> None:
     kinetic, potential = energies()
     lagrangian, angle = sum(kinetic) - potential, ANGLES[i]
     torque = sp.diff(sp.diff(lagrangian, sp.diff(angle, TIME)), TIME) - sp.diff(lagrangian, angle)
@@ -86,7 +86,7 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
 
 
 @pytest.mark.parametrize("item", lagrange.term_items(), ids=lambda item: item.id)
-def test_each_verdict_on_a_term_is_sympy_s(item: Item) -> None:
+def test_each_verdict_on_a_term_agrees_with_sympy(item: Item) -> None:
     terms = [*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ())]
     term = next(term for term in terms if term.id == item.id)
     same = [sp.simplify(symbolic(reading.text) - symbolic(term.right.text)) == 0 for reading in term.readings]
@@ -196,7 +196,7 @@ def test_the_joint_that_holds_the_straight_finger_feels_its_whole_weight() -> No
     assert found["eq10.static"].computed == pytest.approx(held, rel=1e-9)
 
 
-def test_springs_judge_nothing_that_the_paper_says() -> None:
+def test_numbers_of_the_paper_are_judged_without_springs() -> None:
     """The paper's hand has no springs, so the judged value is that of the links alone."""
     fast = motion.closing_torques("index", motion.DURATIONS_S[-1])
     links = sum(fast.parts[part] for part in ("inertia", "Coriolis", "gravity"))
@@ -205,7 +205,7 @@ def test_springs_judge_nothing_that_the_paper_says() -> None:
     assert found["sec8.torque"].computed == pytest.approx(1000.0 * float(np.abs(links).max()))
 
 
-def test_no_row_says_that_the_paper_is_silent_of_what_it_says() -> None:
+def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
     found = {item.id: item for item in sections.page_items(None)}
     assert "Never said" not in found["sec4-7.angles"].why
     assert "Section 7 states that its own are absolute" in found["sec4-7.angles"].why

@@ -13,7 +13,7 @@ FORMULAS = sorted({expression.text for term in TERMS for expression in (*term.re
 
 
 @pytest.mark.parametrize("text", FORMULAS)
-def test_values_are_sympy_s(text: str) -> None:
+def test_values_equal_those_of_sympy(text: str) -> None:
     states, expression = random_states(), Expression(text)
     names = sorted(expression.names)
     theirs = sympy.lambdify([sympy.Symbol(name) for name in names], sympy.sympify(text), "numpy")
@@ -26,7 +26,7 @@ def test_right_terms_are_energies_or_torques(term: equations.Term) -> None:
 
 
 @pytest.mark.parametrize("text", ["m1 + d1", "sin(d1)", "m1*d1 - g"])
-def test_nonsense_has_no_dimension(text: str) -> None:
+def test_an_inconsistent_expression_has_no_dimension(text: str) -> None:
     with pytest.raises(DimensionError):
         Expression(text).dimension(DIMENSIONS)
 
@@ -52,7 +52,7 @@ def test_expression_is_typeset_as_expected(text: str, looks: str) -> None:
     assert Expression(text).pretty() == looks
 
 
-def test_names_and_what_is_no_formula() -> None:
+def test_names_are_found_and_other_code_is_refused() -> None:
     assert pretty_name("L_L") == "L_L"
     assert Expression("sin(th1)*pi*m2").names == {"th1", "m2"}
     for text in ("__import__('os')", "a if b else c", "[1]"):

@@ -19,7 +19,7 @@ def folder(drawn: dict[str, Path]) -> Path:
 
 
 @pytest.mark.parametrize("name", list(page.CAPTIONS))
-def test_pictures_are_full_and_sharp(folder: Path, name: str) -> None:
+def test_pictures_have_content_and_full_resolution(folder: Path, name: str) -> None:
     picture = imread(folder / f"paper-{name}.png")[..., :3]
     height, width, _ = picture.shape
     assert width > 1100

@@ -40,7 +40,7 @@ def test_a_file_without_results_is_refused_in_a_line(
     assert "results.json" in error
 
 
-def test_results_are_kept_to_six_digits() -> None:
+def test_results_are_stored_with_six_significant_digits() -> None:
     kept = experiments.rounded_results({"a": [1.23456789, 7], "b": {"c": (0.000123456789, "x")}})
     assert kept == {"a": [1.23457, 7], "b": {"c": [0.000123457, "x"]}}
 

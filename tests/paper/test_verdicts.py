@@ -73,7 +73,7 @@ def test_a_unit_of_the_last_digit_beyond_is_wrong(value: Fraction, places: int, 
     assert verdict_of_number(text, value) == ErrataVerdict.WRONG
 
 
-def test_an_error_that_is_carried_on_has_the_verdict_of_its_source() -> None:
+def test_an_error_carried_over_from_a_number_has_its_verdict() -> None:
     torque = Fraction(55, 3) * 5 / 1000
     assert (
         verdict_of_carried("0.09165", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED)

@@ -23,7 +23,7 @@ def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
     assert "joint_deg" in compared["phases"]["hold"]
 
 
-def test_a_lost_object_shows_in_the_hold(golden: Path) -> None:
+def test_a_lost_object_is_seen_in_the_hold_phase(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-lost.mcap") as b:
         compared = compare_logs(a, b, "b")
     # Where a digit touches, its angles follow from its tension: a newton is worth some degrees.

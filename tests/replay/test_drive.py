@@ -50,7 +50,7 @@ def test_the_driven_run_can_be_executed_again(again: Path) -> None:
         assert execute_log(log).differing == 0
 
 
-def test_it_moves_slowly_to_the_first_pose(again: Path) -> None:
+def test_a_replay_moves_slowly_to_the_first_pose(again: Path) -> None:
     with RunLog(again) as log:
         starts = {change.name: change.k for change in log.phases}
         path = (log.k >= starts["approach"]) & (log.k < starts["playback"])

@@ -105,7 +105,7 @@ def test_second_replay_gives_the_same_truth(pair: Pair, digit: str) -> None:
     assert apart.mean() < (1.5 if pair.raw else 0.3)
 
 
-def test_the_grasp_is_as_strong(pair: Pair) -> None:
+def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(pair: Pair) -> None:
     tensions = [f"tension/{digit}_tendon" for digit in DIGITS]
     forces = [f"contact_force/{digit}/{axis}" for digit in DIGITS for axis in "xyz"]
     before, after = pair.mean_at_rest(*tensions)

@@ -89,7 +89,7 @@ def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
 
 
 @given(st.floats(allow_nan=False, max_value=1e308, min_value=-1e308))
-def test_ulps_count_neighbours(value: float) -> None:
+def test_ulps_count_the_floats_between_two_values(value: float) -> None:
     above = math.nextafter(value, math.inf)
     assert distance_in_ulps(value, value) == 0
     assert distance_in_ulps(value, above) == distance_in_ulps(above, value) == 1
@@ -120,7 +120,7 @@ def calibration(hand_name: str) -> Calibration:
     ],
     ids=["live", "commission", "jog angle", "jog tension"],
 )
-def test_every_program_comes_back_from_its_setup(program: Program) -> None:
+def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     hand, gains, rate = load_hand("jamia"), Gains(), 333.3
     first = make_controller(hand, gains, rate, program, calibration("jamia"), arm_at_once=False)
     text = Setup.of(first, rate).model_dump_json(by_alias=True)
@@ -169,7 +169,7 @@ def test_gains_of_another_version_are_refused_in_one_line_with_both(fresh: Path,
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_other_gains_command_something_else_and_draw_it(fresh: Path, tmp_path: Path) -> None:
+def test_other_gains_give_other_commands_and_a_figure(fresh: Path, tmp_path: Path) -> None:
     with RunLog(fresh) as log:
         gains = logged_gains(log)
         stiff = gains.model_copy(update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})})
@@ -193,7 +193,7 @@ def test_the_observer_gets_every_tick(fresh: Path) -> None:
         assert ticks == [(tick.tick_in.k, tick.state_hash) for tick in log.ticks()]
 
 
-def test_no_bus_exists_in_the_process(fresh: Path) -> None:
+def test_replay_execute_imports_no_bus(fresh: Path) -> None:
     code = (
         "import sys; from handctl.cli.main import main; code = main(sys.argv[1:]);"
         "bad = [n for n in sys.modules if n == 'can' or n.startswith(('can.', 'firmware_sim'))"

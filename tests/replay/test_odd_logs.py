@@ -92,7 +92,7 @@ def test_a_cut_log_that_repeats_is_lossy(golden: Path, tmp_path: Path, capsys: p
     assert err.count("\n") == 1
 
 
-def test_a_stopped_replay_is_compared_as_far_as_it_was_driven(golden: Path, tmp_path: Path) -> None:
+def test_a_stopped_replay_is_compared_up_to_its_end(golden: Path, tmp_path: Path) -> None:
     rate = 250.0
     with RunLog(golden / "jamia-grasp.mcap") as before:
         program, (start, end) = playback_program(before, 1 / rate, raw=False), active_interval(before)

@@ -15,7 +15,7 @@ def limits(folder: Path, text: str) -> Path:
     return path
 
 
-def test_the_limits_of_the_run_find_its_own_faults(golden: Path, tmp_path: Path) -> None:
+def test_the_original_limits_find_the_faults_of_the_run(golden: Path, tmp_path: Path) -> None:
     with RunLog(golden / "jamia-fault.mcap") as log:
         judgement = judge_by_limits(log, limits(tmp_path, ""))
         assert judgement.ticks == len(log)
@@ -39,7 +39,7 @@ def test_a_lower_trip_stops_at_the_first_sample_above_it(golden: Path, tmp_path:
     assert (judgement.stopped, judgement.stopped_logged) == (after, 0), "it is latched until a person clears it"
 
 
-def test_wider_limits_would_not_have_stopped(golden: Path, tmp_path: Path) -> None:
+def test_wider_limits_would_not_have_stopped_the_run(golden: Path, tmp_path: Path) -> None:
     with RunLog(golden / "jamia-fault.mcap") as log:
         judgement = judge_by_limits(log, limits(tmp_path, "silent_ms = 10000"))
     assert {stop.fault for stop in judgement.stops} <= {"B03a", "B03b"}, "so many losses stop it though, but later"

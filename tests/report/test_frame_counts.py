@@ -43,7 +43,7 @@ def without(ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]
     return [*ticks[:at], changed, *ticks[at + 1 :]], lost
 
 
-def test_a_run_without_faults_has_neither(ticks: list[TickRecord]) -> None:
+def test_a_run_without_faults_has_no_lost_and_no_late_frame(ticks: list[TickRecord]) -> None:
     assert counted(ticks) == (0, 0, 0)
 
 
@@ -66,7 +66,7 @@ def test_a_refused_frame_is_lost(ticks: list[TickRecord]) -> None:
     assert counted([*ticks[:300], refused, *ticks[301:]]) == (0, 2, 0)
 
 
-def test_a_simulator_that_stands_still_leaves_a_silent_tick(ticks: list[TickRecord]) -> None:
+def test_a_paused_simulator_causes_a_tick_without_frames(ticks: list[TickRecord]) -> None:
     """Move the replies of one tick to the next."""
     entry, following = ticks[300].tick_in, ticks[301].tick_in
     ticks = [*ticks]

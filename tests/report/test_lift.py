@@ -47,12 +47,12 @@ def test_an_object_that_falls_with_its_table_is_a_failure() -> None:
 
 
 @pytest.mark.parametrize("side", [-0.5, 0.5])
-def test_the_limit_is_slid_mm(side: float) -> None:
+def test_an_object_may_slide_by_the_limit_and_no_farther(side: float) -> None:
     lift = lift_result(*log_and_truth_of_lift(0.2, (SLID_MM + side) * 1e-3), "carry")
     assert bool(lift_failure(lift)) == (side > 0)
 
 
-def test_a_table_that_never_sank_is_a_failure_and_no_motion_is_shown() -> None:
+def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
     log, truth = log_and_truth_of_lift(0.0, 0.0)
     assert "never lifted" in lift_failure(lift_result(log, truth, "carry"))
     steady = MadeUpLog(JAMIA, TICKS, {0: "hold"})

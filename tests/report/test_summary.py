@@ -61,7 +61,7 @@ def test_a_truth_of_another_time_is_no_truth() -> None:
     assert result["contact_force_n"] == {}
 
 
-def test_mean_angle_weighs_joints_by_their_moment_arms() -> None:
+def test_the_mean_angle_weights_joints_by_their_moment_arms() -> None:
     q = np.zeros((2, len(JAMIA.joints)))
     q[:, :3] = [[0.3, 0.6, 0.9], [1.0, 0.0, 0.0]]
     arms = [JAMIA.tendon[0].moment_arm_m[joint] for joint in JAMIA.joints[:3]]
@@ -70,7 +70,7 @@ def test_mean_angle_weighs_joints_by_their_moment_arms() -> None:
     np.testing.assert_array_equal(mean_angles(JAMIA, q)[:, 1:], 0.0)
 
 
-def test_tracking_is_goal_against_plant_in_free_motion_only() -> None:
+def test_tracking_error_is_computed_in_free_motion_only() -> None:
     log, truth = quiet(), truth_of(JAMIA, 200, 7)
     joints = slice(0, 3)  # the index
     log.fields["q_goal"][:, joints] = 0.5

@@ -63,7 +63,7 @@ async def watch(hand):
 
 
 @REALTIME
-def test_a_hand_in_asyncio(place, hand, calibrated, scale):
+def test_a_program_moves_a_hand_with_asyncio(place, hand, calibrated, scale):
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
     result, status, ticks, swing, at = asyncio.run(use_hand(*options))
     assert result["failure"] == ""

@@ -30,7 +30,7 @@ def homed(place) -> Homed:
 
 
 @pytest.mark.realtime
-def test_bad_clients_do_no_harm(homed, slower):
+def test_invalid_clients_do_not_disturb_a_run(homed, slower):
     rows = measure_clients(SAMPLE, BUS, SCALE * slower, homed)
     hand = load_hand("jamia")
     assert list(rows) == SAMPLE

@@ -42,7 +42,7 @@ def test_an_error_frame_names_its_classes() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"\x01"])
-def test_a_short_error_frame_is_one_too(data: bytes) -> None:
+def test_a_short_error_frame_is_an_error_frame(data: bytes) -> None:
     events = BusEvents("can0")
     events.error_frame(ERROR | 0x04, data)
     assert kinds(events) == {"error_frame"}

@@ -59,7 +59,7 @@ def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(monkeypatch: 
     assert clock.wait(3) < 1000
 
 
-def test_it_spins_only_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_clock_busy_waits_only_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     for spin, left in ((True, 60_000), (False, 0)):
         wall = Wall(monkeypatch)
         clock = RealClock(PERIOD, 1.0, spin)

@@ -36,7 +36,7 @@ def failed(found):
     return [name for name, check in found.items() if check.verdict is CheckVerdict.FAILED]
 
 
-def test_a_good_drive_keeps_every_promise(protocol):
+def test_a_good_drive_passes_every_conformance_check(protocol):
     failures, place, rig = check_results(protocol)
     assert [check for check in failures.values() if check.verdict is not CheckVerdict.PASSED] == []
     assert 0.0 < place.top <= LIMIT * 1.001
@@ -62,7 +62,7 @@ def test_a_good_drive_passes_three_times_running(protocol):
 
 @pytest.mark.parametrize("inertia", [2e-5, 1e-4, 2e-3])
 @pytest.mark.parametrize("delay", [1, 3])
-def test_a_light_shaft_and_a_slow_wire_make_no_failure(protocol, inertia, delay):
+def test_a_light_shaft_and_a_slow_wire_pass_conformance(protocol, inertia, delay):
     failures, place, _ = check_results(protocol, inertia=inertia, delay=delay)
     assert failed(failures) == []
     assert abs(place.bench.motors[0].omega) < 20.0

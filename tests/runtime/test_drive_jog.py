@@ -119,7 +119,7 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
 
 
 @pytest.mark.parametrize(("protocol", "mode"), MODES)
-def test_a_host_that_falls_silent_is_the_watchdogs_matter(protocol, mode):
+def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, mode):
     place, rig, _ = bench_of(protocol, mode)
     assert jog_drive(rig, goal_of(mode, 1.0, 0.5)).failure == ""
     rig.keep(DriveTarget.LISTEN, 0.5)
@@ -129,7 +129,7 @@ def test_a_host_that_falls_silent_is_the_watchdogs_matter(protocol, mode):
 
 
 @pytest.mark.parametrize(("protocol", "mode"), MODES)
-def test_a_mute_drive_is_not_enabled(protocol, mode):
+def test_a_drive_that_sends_nothing_is_not_enabled(protocol, mode):
     place, rig, _ = bench_of(protocol, mode, fault="mute")
     assert jog_drive(rig, goal_of(mode, 1.0)).failure
     assert place.bench.motors[0].theta == 0.0

@@ -60,7 +60,7 @@ def seconds_until(process, word, timeout_s=20.0):
     raise AssertionError(output.decode())
 
 
-def test_a_full_disk_is_announced_and_the_hand_holds_on(place, disk, scale):
+def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, scale):
     simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
     words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", *scale)
     process = start_handctl("run", *words, "--log", str(disk / "run.mcap"))

@@ -18,7 +18,7 @@ def all_batches(times, seed, scale):
 
 
 @pytest.mark.timeout(300 + 15 * TIMES)
-def test_drives_let_go_and_logs_end_with_the_last_tick(slower):
+def test_drives_remove_torque_and_logs_end_with_the_last_tick(slower):
     # Controllers are forked and lock their memory: from a small process, not from this one with all tests in it.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         runs = pool.apply(all_batches, (TIMES, 20261121, SCALE * slower))

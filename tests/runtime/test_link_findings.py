@@ -53,7 +53,7 @@ def test_a_good_interface_has_only_good_findings():
         ({"link": {"stats64": {"tx": {"dropped": 9}}}}, "9 frames to be sent dropped", "after a run"),
     ],
 )
-def test_each_finding_comes_with_the_command_that_mends_it(changes, what, fix):
+def test_each_finding_names_the_command_that_corrects_it(changes, what, fix):
     (finding,) = bad(link_json(**changes))
     assert what in finding.what
     assert fix in finding.fix

@@ -40,7 +40,7 @@ def test_requests_come_in_order_and_once() -> None:
     box.close()
 
 
-def test_a_flood_is_taken_in_pieces() -> None:
+def test_a_flood_of_requests_is_read_in_parts() -> None:
     box = Mailbox("local:x")
     sent = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
@@ -166,7 +166,7 @@ def test_a_request_without_a_controller_is_one_line() -> None:
     watcher.close()
 
 
-def test_a_folder_unfit_for_sockets_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_hold_sockets_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
     for folder in (blocked / "below", tmp_path / ("x" * 120)):
@@ -246,7 +246,7 @@ def test_a_watcher_that_does_not_read_never_blocks_the_controller() -> None:
     box.close()
 
 
-def test_a_watcher_sees_the_present_not_the_past() -> None:
+def test_a_watcher_gets_only_lines_published_after_it_starts() -> None:
     watcher = Watcher("local:x")
     assert watcher.fresh_line(0.01) is None, "nobody is there yet"
     box = Mailbox("local:x")

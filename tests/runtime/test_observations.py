@@ -211,6 +211,6 @@ def test_a_datagram_of_another_form_is_dropped(data: bytes) -> None:
     box.close()
 
 
-def test_a_sender_without_a_controller_says_so() -> None:
+def test_a_sender_without_a_controller_reports_it() -> None:
     with pytest.raises(BusError, match="bus local:x: no controller takes targets; expected a running handctl run"):
         TargetSender("local:x", os.getpid(), 1)

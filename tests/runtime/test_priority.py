@@ -16,14 +16,14 @@ def policy() -> int:
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
 
 
-def test_priority_is_given_back() -> None:
+def test_priority_is_reset_after_the_run() -> None:
     granted = take_priority()
     assert (policy() == os.SCHED_FIFO) == granted.realtime
     restore_priority()
     assert policy() == os.SCHED_OTHER
 
 
-def test_the_doctor_tries_and_gives_back() -> None:
+def test_the_doctor_tries_real_time_priority_and_resets_it() -> None:
     main(["doctor", "--json"])
     assert policy() == os.SCHED_OTHER
 

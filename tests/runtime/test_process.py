@@ -42,7 +42,7 @@ def run_short(place, processes, scale):
     return result, log
 
 
-def test_run_commissions_moves_and_judges_itself(place, processes, scale):
+def test_a_run_commissions_moves_and_reports_its_result(place, processes, scale):
     (code, result, err), log = run_short(place, processes, scale)
     assert code == 0, err
     assert err.startswith("commissioning jamia first: there is no jamia.calibration.toml")

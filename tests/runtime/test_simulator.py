@@ -55,7 +55,7 @@ def test_the_faults_that_can_be_injected_are_listed(simulator, capsys):
     assert simulator.poll() is None
 
 
-def test_without_a_simulator_it_is_one_line(tmp_path, monkeypatch, capsys):
+def test_inject_without_a_simulator_is_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     assert main(["fault", "list"]) == 1
     assert "none" in capsys.readouterr().err

@@ -44,5 +44,5 @@ def test_a_pause_between_the_readings_is_no_suspend_and_hides_none():
     assert [event.number for event in watch.events()] == [1000]
 
 
-def test_this_machine_does_not_sleep_now():
+def test_no_suspend_is_reported_without_a_suspend():
     assert SuspendWatch().events() == []

@@ -50,7 +50,7 @@ class OpenRequests(Monitor):
     (((7 - WINDOW, 6), (8 - WINDOW, 6)), (True, True), ((6, 7), (8 - WINDOW, 6, 7))),    # too old: given up
     (((-WINDOW, 7 - WINDOW), (-WINDOW,)), (True, True), ((7 - WINDOW, 7), (-WINDOW, 7))),    # but the last one
 ])  # fmt: skip
-def test_a_request_increases_the_number_of_owed_replies(owed, able, after):
+def test_a_request_increases_the_number_of_outstanding_replies(owed, able, after):
     questions = OpenRequests(owed)
     questions.ask(7, able)
     assert questions.owed == after
@@ -84,7 +84,7 @@ def test_replies_match_requests_and_the_rest_is_excess(owed, came, after, too_ma
 
 
 @pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])
-def test_a_run_of_late_answers_is_paid_once_whenever_it_begins(ticks: int) -> None:
+def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int) -> None:
     """After ticks without a reply, as many replies at once are no duplicate. One more reply is a duplicate."""
     questions = OpenRequests(((),))
     for start in range(2 * WINDOW):
@@ -98,7 +98,7 @@ def test_a_run_of_late_answers_is_paid_once_whenever_it_begins(ticks: int) -> No
         assert questions.answer([2]) == [0]
 
 
-def test_answers_that_were_lost_hide_no_duplicates_for_long() -> None:
+def test_lost_replies_do_not_hide_duplicates_for_long() -> None:
     questions = OpenRequests(((),))
     for k in range(WINDOW + 3):
         questions.ask(k)
@@ -114,7 +114,7 @@ def test_node_with_cyclic_messages_has_no_outstanding_requests() -> None:
     assert questions.answer([3, 2]) == [1]
 
 
-def test_a_load_cell_s_second_frame_is_one_too_many() -> None:
+def test_a_second_frame_of_a_load_cell_is_in_excess() -> None:
     questions = OpenRequests(((),))
     questions.set({"answered": 0, "group_answered": {0: 2}})
     assert call_interpreted(close_answered_requests, questions.state_tables, questions.hand_tables)

@@ -76,7 +76,7 @@ def test_a_report_of_another_motor_or_of_another_time_is_found(seed: int, fault:
     assert doubted_motors(commanded, made).all()
 
 
-def test_a_command_at_rest_and_a_report_at_rest_say_nothing() -> None:
+def test_constant_command_and_constant_report_give_no_verdict() -> None:
     still = np.full((TICKS, 2), 90.0)
     assert not after(still, delayed_reports(noisy_commands(1))).unfollowed
     assert not after(noisy_commands(1), still).unfollowed

@@ -67,7 +67,7 @@ def test_catalogue_row_has_all_columns(entry: CatalogueRow, last: str) -> None:
     assert row == f"| B12 | t | B12 CUT | {'detected | ' * len(protocols)}{last}"
 
 
-def test_a_row_that_no_tick_judges_says_where_it_is() -> None:
+def test_a_fault_that_no_tick_judges_names_its_place() -> None:
     assert "| H12 | t | before arming |" in catalogue_markdown((CatalogueRow("H12", "t", "before arming"),))
     assert "| B11a RELAX, B11b CUT |".strip("| ") in catalogue_markdown(
         (CatalogueRow("B11", "t", "fault table", ticks=3),)

@@ -22,7 +22,7 @@ def judged(monitor: Monitor, shown: TickInput):
     return monitor.judge(show(monitor, shown), shown.reports)
 
 
-def test_all_but_those_of_other_modes_are_paired() -> None:
+def test_every_fault_of_the_active_mode_is_paired() -> None:
     assert set(CASES) - set(ARMED) == {"B18", "N16"}
 
 
@@ -65,7 +65,7 @@ def test_the_same_fault_of_two_instances_is_two_faults() -> None:
     assert [mark.instance for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]
 
 
-def test_instances_do_not_help_each_other_over_the_debounce() -> None:
+def test_instances_do_not_share_their_debounce_counts() -> None:
     left, right = tensions(t0=244.0), tensions(t1=244.0)
     _, verdicts = check_ticks(left, right, left, right, left, right)
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
@@ -89,7 +89,7 @@ course_of_faults = st.lists(st.tuples(faulty, several, st.booleans()), max_size=
 
 
 @given(course_of_faults)
-def test_more_trouble_is_never_less_action(ticks: list[tuple[TickInput, list[str], bool]]) -> None:
+def test_additional_faults_never_weaken_the_action(ticks: list[tuple[TickInput, list[str], bool]]) -> None:
     """Compare two runs with the same clear requests. One of them has additional faults in some ticks."""
     less, more = rested_monitor(), rested_monitor()
     for shown, extra, cleared in ticks:

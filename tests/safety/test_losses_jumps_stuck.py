@@ -83,7 +83,7 @@ def test_missing_every_second_tick_is_detected(pattern, half):
     assert call_interpreted(losses.misses_every_second, Window(bits(pattern)).state_tables, 0) is half
 
 
-def test_unknown_frames_leak_away_in_a_second():
+def test_the_count_of_unknown_frames_decays_in_a_second():
     def after(unknown: float, strange: int = 0, rate: float = 100.0) -> float:
         window = Window(period=1.0 / rate)
         window.count(strange=strange, unknown=unknown)
@@ -120,7 +120,7 @@ def test_refused_goals_are_those_of_the_last_second():
     assert step(0, 209) == ()
 
 
-def test_lost_and_misshapen_are_counted_apart():
+def test_lost_and_malformed_replies_are_counted_separately():
     window = Window()
     window.set({"misread_now": {1: 1}})
     assert window.count(motor=True) == (1, 0)
@@ -157,7 +157,7 @@ def test_the_first_position_is_accepted_wherever_it_is():
     (1.25, 1, 0.0), (1.26, 1, 0.26),       # a reading was missed: twice as far
     (1.5, 3, 0.0), (1.51, 3, 0.51),
 ])  # fmt: skip
-def test_a_step_that_cannot_be_is_dropped_and_the_next_may_be_longer(value, gap, wrong):
+def test_an_impossible_step_is_rejected_and_the_allowed_step_grows(value, gap, wrong):
     positions = Positions([0.125], accepted=[1.0], accepted_gap=[float(gap)])
     assert positions.screen([value])[0] == pytest.approx(wrong)
     assert positions.get("accepted") == [1.0 if wrong else value]
@@ -178,7 +178,7 @@ def test_tick_without_measurements_changes_nothing():
     assert positions.get("dropped") == [0.0, 2.0]
 
 
-def test_readings_that_are_dropped_in_a_row_are_counted_and_a_missing_one_is_none():
+def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
     positions, told = Positions([0.125] * 2, accepted=[0.0, 0.0]), []
     for both in [(1.0, 0.0), (NAN, 0.0), (1.0, NAN), (NAN, 0.0), (0.1, NAN), (1.5, 2.0), (0.1, 0.0)]:
         positions.screen(list(both))
@@ -204,7 +204,7 @@ def test_allowed_step_grows_over_skipped_ticks(missed, steps, told):
         assert tuple(seen) == told, other
 
 
-def test_a_reading_that_is_missing_after_skipped_ticks_may_be_further_off_by_them():
+def test_a_missing_reading_after_skipped_ticks_increases_the_allowed_step():
     positions = Positions([0.1], accepted=[1.0], accepted_gap=[1.0])
     positions.screen([NAN], 3)
     assert positions.get("accepted_gap") == [5.0]
@@ -240,7 +240,7 @@ def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
     assert monitor.get("motor_stuck") == [4.0]
 
 
-def test_a_missing_reading_is_neither_the_same_nor_another_one():
+def test_a_missing_reading_is_neither_constant_nor_changed():
     monitor, seen = ticks_and_motion(
         [1.0, NAN, 1.0, NAN, 2.0], [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (3.0, 0.0)]
     )

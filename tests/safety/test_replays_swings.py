@@ -37,7 +37,7 @@ def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
 
 @pytest.mark.parametrize("age", [16, 32, 50, replays.MAX_AGE_TICKS])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_content_of_some_ticks_ago_is_found_within_sixteen(seed: int, age: int) -> None:
+def test_repeated_content_is_found_within_sixteen_ticks(seed: int, age: int) -> None:
     rows = readings(seed, 300, 0.5)
     late = rows.copy()
     late[200:, 2] = rows[200 - age : 300 - age, 2]
@@ -59,7 +59,7 @@ def test_limit_cycle_of_a_few_counts_is_no_repetition(cycle: list[float]) -> Non
     assert first_found(np.array([[cycle[k % len(cycle)]] for k in range(500)])) == (-1, [])
 
 
-def test_a_missing_reading_equals_nothing() -> None:
+def test_a_missing_reading_is_no_repetition() -> None:
     rows = readings(0, 300, 0.5)
     rows[100:200] = np.nan
     assert first_found(rows) == (-1, [])

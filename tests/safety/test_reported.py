@@ -23,7 +23,7 @@ def test_recorder_events_become_faults() -> None:
     assert found(("disk_full", "can0", 1.0)) == []
 
 
-def test_alone_on_the_bus_is_one_reading_of_error_frames_that_mean_it() -> None:
+def test_only_missing_acknowledges_mean_alone_on_the_bus() -> None:
     unheard, other = ("error_frame", "can0 no acknowledge", 3.0), ("error_frame", "can0 overload", 2.0)
     found = locate_reports(filter_error_frames([other, unheard, unheard], heard=False))
     assert [(fault.id, name, value) for fault, name, value in found] == [("B18", "can0 no acknowledge", 3.0)]

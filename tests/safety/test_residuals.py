@@ -135,7 +135,7 @@ def test_missing_torque_is_detected():
     assert state.low(COMMAND_DIFFERENCE) < NOT_OBEYED_N
 
 
-def test_noise_raises_nothing_in_ten_thousand_hours():
+def test_noise_causes_no_fault_in_ten_thousand_hours():
     """Compare filtered noise of a hand at rest, at three times the load-cell noise, with the warning limits."""
     left = np.array([residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).low(BALANCE) for _ in range(40)])
     chance = 1.0 / (10_000.0 * 3600.0 / T)
@@ -144,7 +144,7 @@ def test_noise_raises_nothing_in_ten_thousand_hours():
     assert rare < min(RESIDUAL_WARN_N, FRICTION_WARN_N, NOT_OBEYED_N)
 
 
-def test_bits_count_what_was_lost():
+def test_losses_of_every_second_reply_are_counted():
     monitor = Monitor(synthetic_limits(2))
     for k in range(120):
         found = monitor.tick(feedback_ns=[NOW_NS - PERIOD_NS * (k % 2 == 0), NOW_NS])
@@ -202,7 +202,7 @@ def test_a_tendon_still_pulled_after_the_cut_is_detected():
 
 
 @pytest.mark.parametrize("speed", [-2e-3, 5e-4, 1e-3, 0.02])
-def test_a_tick_takes_its_share_of_the_balance_to_the_last_digits(speed):
+def test_the_residual_filter_takes_the_exact_share_per_tick(speed):
     rotor = Rotor(last_speed=speed)
     rotor.step(20.0, 30.0, speed)
     balance = 30.0 - 20.0 - DAMPING * speed - COULOMB * np.tanh(speed / 1e-3)

@@ -32,7 +32,7 @@ def readings(id_: str, shown: TickInput) -> list[tuple[str, float]]:
     return list(monitor.tick(show(monitor, shown)).get(id_, {}).items())
 
 
-def test_a_latched_fault_outlives_a_tick_with_nothing_near_any_limit() -> None:
+def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:
     monitor = rested_monitor()
     monitor.latched = (Latched("T03", "t0"), Latched("B12", "can0"))
     verdict = monitor.judge()
@@ -41,7 +41,7 @@ def test_a_latched_fault_outlives_a_tick_with_nothing_near_any_limit() -> None:
     assert rested_monitor().judge().action == Action.PASS
 
 
-def test_a_finding_says_how_large_it_was() -> None:
+def test_a_finding_has_its_measured_value() -> None:
     _, verdicts = check_ticks(io("bus_off", number=7))
     assert [finding.value for verdict in verdicts for finding in verdict.findings] == [7.0]
     assert readings("N15", TickInput({"lost": {(0, 0): 0b1010101010101}})) == [("m0", 0.5)], "half of its answers"
@@ -56,7 +56,7 @@ def test_no_replies_are_expected_in_ticks_missed_by_the_host() -> None:
     assert readings("B01", motors(m0=1)) == [("m0", 1)]
 
 
-def test_a_node_that_does_not_hear_misses_as_many_ticks_as_the_row_says() -> None:
+def test_a_node_without_reply_is_reported_after_the_stated_number_of_ticks() -> None:
     most = LIMITS.one_silent_ticks
     assert readings("B17", motors(m0=most - 1)) == []
     assert readings("B17", motors(m1=most)) == [("m1", float(most))]

@@ -114,7 +114,7 @@ def test_tension_at_the_cut_is_stored_and_ticks_are_counted():
     assert tendons.get("cut_ticks") == [2]
 
 
-def test_a_sample_that_is_missing_at_the_cut_counts_as_the_last_one_before():
+def test_a_missing_sample_at_the_cut_is_replaced_by_the_previous_one():
     tendons = Tendons(2, cell_value=[31.0, NAN])
     tendons.cut([NAN, 20.0])
     assert tendons.get("cut_from") == [31.0, 20.0]
@@ -122,7 +122,7 @@ def test_a_sample_that_is_missing_at_the_cut_counts_as_the_last_one_before():
     assert tendons.get("cut_from") == [31.0, 20.0]
 
 
-def test_a_tendon_of_which_nothing_was_known_at_the_cut_counts_from_its_first_reading():
+def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading():
     tendons = Tendons(2)
     tendons.cut([NAN, 20.0])
     assert math.isnan(tendons.get("cut_from")[0])

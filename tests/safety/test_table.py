@@ -184,7 +184,7 @@ def test_a_fault_is_either_found_or_reported() -> None:
 @pytest.mark.parametrize(("seconds", "period", "least", "ticks"), [
     (0.030, 0.005, 4, 6), (0.030, 0.002, 4, 15), (0.030, 0.01, 4, 4), (0.025, 0.002, 3, 13), (0.025, 0.02, 3, 3),
 ])  # fmt: skip
-def test_times_as_ticks(seconds: float, period: float, least: int, ticks: int) -> None:
+def test_a_time_is_rounded_to_ticks(seconds: float, period: float, least: int, ticks: int) -> None:
     assert ticks_for(seconds, period, least) == ticks
 
 

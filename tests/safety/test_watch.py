@@ -82,7 +82,7 @@ def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
     assert found == {}
 
 
-def test_without_torque_everything_but_the_counts_begins_anew():
+def test_without_torque_all_history_but_the_counts_is_reset():
     monitor, _ = ticks(10)
     monitor.set({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
     assert monitor.tick(resting_tick(), mode=int(Mode.READY)) == {}
@@ -101,7 +101,7 @@ def test_without_torque_everything_but_the_counts_begins_anew():
     assert monitor.get("misshapen") == [6, 6, 6]
 
 
-def test_after_the_cut_a_tendon_that_does_not_let_go_is_reported():
+def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
     monitor = ticks(3)[0]
     monitor.set({"mode": int(Mode.CUT)})
     for _ in range(50):
@@ -110,7 +110,7 @@ def test_after_the_cut_a_tendon_that_does_not_let_go_is_reported():
     assert monitor.get("cut_from") == [30.0, 8.0]
 
 
-def test_a_tendon_that_does_not_let_go_is_reported_though_its_sample_was_lost_at_the_cut():
+def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut():
     monitor = ticks(3, tension=[30.0, 25.0])[0]
     ticks(2, monitor, tension=N)
     monitor.set({"mode": int(Mode.CUT)})
@@ -169,7 +169,7 @@ def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
     assert found["T01"] == {"a": 0.05}
 
 
-def test_joint_and_spool_are_compared_from_when_the_tendon_is_taut():
+def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
     """The moment arms of tendon a have a sum of 20 mm, so 3 deg are 1.05 mm. Without the filter, 15 deg are a fault."""
 
     def slipped(deg):
@@ -214,7 +214,7 @@ def run_sparse_joints(number: int, monitor: Monitor, **given: Any) -> list[Evide
     return told
 
 
-def test_a_tendon_that_left_its_pulley_shows_in_three_readings_however_seldom_joints_are_read():
+def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
     monitor = monitor_at_20_newton(make_monitor(joint_period=EVERY * T))
     run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
@@ -234,7 +234,7 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
     assert not any("T08" in found for found in run_sparse_joints(8, monitor, **off))
 
 
-def test_joint_against_spool_is_filtered_over_the_same_time_however_seldom_joints_are_read():
+def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
     """3 deg of 3.5 are reached after 0.3 s ln 7 = 0.58 s."""
     for every in (1, EVERY):
         monitor = monitor_at_20_newton(make_monitor(joint_period=every * T))
@@ -247,7 +247,7 @@ def test_joint_against_spool_is_filtered_over_the_same_time_however_seldom_joint
         assert begun == pytest.approx(0.584, abs=0.01)
 
 
-def test_a_joint_or_a_motor_that_stands_is_reported_after_the_same_time_however_seldom_it_is_read():
+def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
     monitor = monitor_at_20_newton(make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T))
     run_sparse_joints(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
     run_sparse_joints(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
@@ -279,7 +279,7 @@ def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, told
     assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if told else {})
 
 
-def test_a_motor_reading_that_stands_while_the_tension_moves_is_stuck():
+def test_constant_motor_reading_is_stuck_while_the_tension_changes():
     for tension, told in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
         _, found = ticks(200, monitor_after_motion(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension])
         assert list(found.get("N04", {})) == told
@@ -295,7 +295,7 @@ def test_constant_joint_reading_is_stuck_while_the_spool_turns():
         assert [name for name in found.get("N04", {}) if name[0] == "j"] == told
 
 
-def test_a_spool_that_turns_while_its_tendon_is_slack_says_nothing_of_a_joint():
+def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
     """The spool winds slack. Joint and spool move together only after the tendon is taut."""
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
 
@@ -311,7 +311,7 @@ def test_a_spool_that_turns_while_its_tendon_is_slack_says_nothing_of_a_joint():
 
 
 @pytest.mark.parametrize(("tension", "told"), [(2.1, ["ja"]), (1.9, [])])
-def test_a_tendon_bears_until_it_is_slack(tension, told):
+def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, told):
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = ticks(200, None, tension=2.6, force=2.6, **joints)
     ticks(200, monitor, tension=tension, force=tension, **joints)
@@ -319,7 +319,7 @@ def test_a_tendon_bears_until_it_is_slack(tension, told):
     assert [name for name in found.get("N04", {}) if name[0] == "j"] == told
 
 
-def test_each_joint_has_its_own_tendons_as_witnesses():
+def test_each_joint_is_checked_with_its_own_tendons():
     """A slack tendon a has no effect on the check of joint b."""
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
@@ -341,7 +341,7 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tensi
 
 
 @pytest.mark.parametrize("late", [0, 1])
-def test_an_even_motion_is_no_noise_and_no_force_because_ticks_were_skipped(late):
+def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
     """The way of five ticks at once, in the tick behind the gap, or in the next one, whose answer is from behind it."""
 
     def course(missed):
@@ -369,7 +369,7 @@ def screen_positions(
     return monitor.get("jump"), monitor.get("joint_jump")
 
 
-def test_positions_are_screened_apart():
+def test_positions_are_checked_separately():
     monitor = make_monitor()
     assert screen_positions(monitor, [0.0, 0.0], [0.0, 0.0]) == ([0.0, 0.0], [0.0, 0.0])
     assert screen_positions(monitor, [0.11, 0.19], [0.29, 0.41]) == ([0.11, 0.0], [0.0, 0.41])
@@ -380,7 +380,7 @@ def test_positions_are_screened_apart():
     assert monitor.get("joint_dropped") == [0.0, 1.0]
 
 
-def test_after_missed_ticks_motors_and_joints_may_have_gone_so_much_further():
+def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
     def begun() -> Monitor:
         monitor = make_monitor()
         screen_positions(monitor, [0.0, 0.0], [0.0, 0.0])
@@ -403,7 +403,7 @@ def late(**ages: int) -> dict[str, Any]:
     return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}
 
 
-def test_where_nothing_is_lost_nothing_is_counted():
+def test_without_lost_replies_no_count_grows():
     monitor = make_monitor()
     assert monitor.tick() == {}
     assert not monitor.view("lost").any()
@@ -427,7 +427,7 @@ def test_malformed_frames_are_reported_with_sender_and_recent_count():
     assert monitor.tick(misread_now=[0, 0, 1])["B09"] == {"load cells": 1.0}
 
 
-def test_a_node_that_answers_every_second_tick():
+def test_a_node_that_replies_in_every_second_tick_is_reported():
     monitor = make_monitor()
     for k in range(20):
         found = monitor.tick(late(mb=k % 2))

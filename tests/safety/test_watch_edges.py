@@ -46,7 +46,7 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None
 
 @pytest.mark.parametrize(("tension", "taut"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),
                                                (TAUT_N + 1e-9, 1.0 + T)])  # fmt: skip
-def test_taut_time_stands_between_slack_and_taut(monitor: Monitor, tension: float, taut: float) -> None:
+def test_the_taut_time_does_not_change_between_slack_and_taut(monitor: Monitor, tension: float, taut: float) -> None:
     monitor.tick(resting_tick(tension=tension, **READ), taut_s=1.0)
     assert monitor.get("taut_s") == [taut, taut]
 
@@ -90,7 +90,7 @@ def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(monitor: Mo
     assert stuck_names(monitor, long - 1, 20.0, beyond) == told | {"motor": [], "joint": []}
 
 
-def test_a_cell_may_repeat_itself_one_tick_less_than_the_row_says(monitor: Monitor) -> None:
+def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(monitor: Monitor) -> None:
     pushed = {"pushed": [9.0, 9.0]}
     assert stuck_names(monitor, CELL_TICKS - 1, 20.0, pushed)["cell"] == ["a", "b"]
     assert stuck_names(monitor, CELL_TICKS - 2, 20.0, pushed)["cell"] == []

@@ -90,7 +90,7 @@ def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> Ramp
     return steepest_ramp(jacobian, seen + jacobian @ fitted, 0, angle, (np.ones(ROWS),))
 
 
-def test_noise_has_no_kink() -> None:
+def test_noise_without_contact_has_no_kink() -> None:
     scores = [abs(found.score) for seed in range(1000) if (found := unexplained_ramp_of_line(seed, 0.0))]
     assert max(scores) < CONTACT_SCORE
     assert np.mean(np.array(scores) < NO_CONTACT_SCORE) > 0.97
@@ -111,7 +111,7 @@ def test_a_kink_is_found_where_it_is(begin: float) -> None:
         assert support.rise < 0.0
 
 
-def test_a_fit_without_a_sweep_tells_of_no_contact() -> None:
+def test_a_fit_without_a_sweep_reports_no_contact() -> None:
     assert steepest_ramp(np.zeros((5, 2)), np.zeros(5), 5, np.zeros(0), ()) is None
     assert steepest_ramp(np.zeros((5, 2)), np.zeros(5), 0, np.zeros(5), (np.ones(5),)) is None
 

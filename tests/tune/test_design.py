@@ -93,7 +93,7 @@ def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
 
 
 @pytest.mark.parametrize("hz", [3.0, 6.0])
-def test_poles_are_where_they_were_asked_for(jamia: HandModel, hz: float) -> None:
+def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) -> None:
     """Rotor and digit as one mass under sampled state feedback, at a rate far above the poles."""
     gains = gains_with_poles(jamia, LoopKind.MOTION, hz, 1.0)
     fast = HandModel.of(jamia.hand, gains, 4000.0)
@@ -120,7 +120,7 @@ def test_placed_poles_that_no_weights_have_are_refused(
         design_with_poles(jamia, (PlantFactors(),), *hz, damping)
 
 
-def test_an_ensemble_is_never_narrower_than_service_makes_it() -> None:
+def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
     drawn = draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
     assert drawn[0] == dict.fromkeys(MIN_SPREAD, 1.0)
     assert draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != draw_ensemble(65, 4)

@@ -33,7 +33,7 @@ def test_a_file_reads_back_with_its_provenance(tmp_path: Path) -> None:
     assert load_gains(path) == force(31.0)
 
 
-def test_a_file_without_provenance_is_gains_too(tmp_path: Path) -> None:
+def test_a_gains_file_without_provenance_is_accepted(tmp_path: Path) -> None:
     path = tmp_path / "g.toml"
     path.write_text("[motion]\nforce_N = 31.0\n")
     gains = load_gains(path)
@@ -97,7 +97,7 @@ def test_a_damaged_file_is_set_aside_and_not_lost(store: GainsStore) -> None:
     assert renamed == [("jamia.gains.damaged.toml", "schema = ["), ("jamia.gains.damaged1.toml", "nonsense = 1")]
 
 
-def test_a_history_with_a_gap_is_no_way_back(store: GainsStore) -> None:
+def test_a_history_with_a_gap_is_not_used_for_a_rollback(store: GainsStore) -> None:
     for newtons in (21.0, 22.0, 23.0):
         store.apply(force(newtons), Provenance())
     store.rollback()

@@ -193,7 +193,7 @@ def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
     assert max(rows) < max(axis.get_ylim())
 
 
-def test_a_run_that_tells_little_takes_nothing_away() -> None:
+def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
     old = identified_with(tendon_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
         update={"covariance": ((4.0, 0.5, 0.25), (0.5, 1.0, 0.0), (0.25, 0.0, 9.0))}
     )

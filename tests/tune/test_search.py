@@ -144,7 +144,7 @@ def test_search_resumes_from_a_truncated_journal(
     assert run_search(longer, path, FakeWorkers(), _nothing) == found
 
 
-def test_a_search_that_is_made_longer_is_that_of_one_run(
+def test_an_extended_search_equals_one_long_search(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path
 ) -> None:
     longer, found, _ = long_search
@@ -175,7 +175,7 @@ def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
 
 
 @pytest.mark.nightly
-def test_the_death_of_a_worker_loses_nothing(plan: SearchPlan, found: SearchResult) -> None:
+def test_a_killed_worker_loses_no_result(plan: SearchPlan, found: SearchResult) -> None:
     workers = ProcessPool(1)
     try:
         os.kill(workers.pids[0], signal.SIGKILL)

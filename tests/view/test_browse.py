@@ -27,7 +27,7 @@ GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 pytestmark = pytest.mark.timeout(120)
 
 
-def test_the_parts_of_a_log_are_all_of_it(tmp_path: Path) -> None:
+def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
     with RunLog(GOLDEN) as log:
         ticks, run = len(log), RunInfo.of(log.header, "x")
     sizes, since = [], []

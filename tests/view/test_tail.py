@@ -22,7 +22,7 @@ def grow_file(whole: bytes, seed: int) -> list[int]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_parts_together_are_the_whole(seed: int, jamia_path: Path, tmp_path: Path) -> None:
+def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(seed: int, jamia_path: Path, tmp_path: Path) -> None:
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
     run = run_info_of(jamia_path)
     converters, tail, chunks, times = TopicConverters(run), Tail(path), list[Chunk](), 0
