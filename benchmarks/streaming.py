@@ -299,7 +299,7 @@ def _windows(place: Stage, names: list[str]) -> tuple[dict[str, Any], int]:
     finally:
         try:
             hand.close()
-        except handctl.DriveError:  # the stale stream of a killed client is a fault that ends the run
+        except handctl.DriveError:  # a stale stream is a fault that ends the run
             if "killed" not in windows:
                 raise
     return windows, start_ns

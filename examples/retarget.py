@@ -68,7 +68,7 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
         last = hand.observe().k
 print(f"left by the inverse kinematics: {1e3 * np.mean(left):.2f} mm on average, {1e3 * np.max(left):.2f} mm at most")
 
-with RunLog(hand.result["log"]) as log:  # every tick, also those that this program has not seen
+with RunLog(hand.result["log"]) as log:  # the log has every tick, also ticks that this program did not observe
     streamed = (log.k > first) & (log.k < last)
     names = log.names("q")
     times = log.times[streamed]

@@ -23,9 +23,10 @@ def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(NAMES)} (default: all)")
-    parser.add_argument("--seconds", type=int, default=10, help="for each target (default: %(default)s; 0: no limit)")
-    parser.add_argument("--runs", type=int, default=-1, help="inputs for each target (default: as time allows)")
-    parser.add_argument("--blind", action="store_true", help="change what was kept without looking at branches: faster")
+    parser.add_argument("--seconds", type=int, default=10,
+                        help="duration for each target (default: %(default)s; 0: no limit)")
+    parser.add_argument("--runs", type=int, default=-1, help="inputs for each target (default: limited by time)")
+    parser.add_argument("--blind", action="store_true", help="mutate kept inputs without measuring branches: faster")
     args = parser.parse_args()
     if unknown := set(args.targets) - set(NAMES):
         parser.error(f"no target {sorted(unknown)[0]!r}; expected of {', '.join(NAMES)}")

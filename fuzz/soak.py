@@ -125,7 +125,7 @@ class Soak:
             return
         if self.controller.poll() is None:
             self.controller.send_signal(signal.SIGTERM)
-        out, err = self.controller.communicate(timeout=600.0)  # it judges its whole log
+        out, err = self.controller.communicate(timeout=600.0)  # the controller checks its whole log
         code = self.controller.returncode
         path = Path(f"{self.number}.mcap")
         self.controller = None

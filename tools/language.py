@@ -2,7 +2,7 @@
 
 ``python tools/language.py`` is a part of ``make lint``. It prints a line for each count above its limit and exits 1.
 ``--table`` prints all counts. ``--places COUNT FOLDER`` prints where a count comes from. ``--tighten`` lowers the
-limits in ``language_limits.toml`` to the counts of now. No option raises a limit. A word list is only a thermometer:
+limits in ``language_limits.toml`` to the current counts. No option raises a limit. A word list is only a thermometer:
 the reader decides whether a sentence is plain.
 """
 
@@ -208,7 +208,7 @@ def excesses(tallies: dict[str, Tally], limits: Limits) -> Iterator[str]:
 
 
 def lowered_limits(tallies: dict[str, Tally], limits: Limits) -> Limits:
-    """Return limits that are the counts of now, or the old ones where those are lower."""
+    """Return limits that are the current counts, or the old limits where those are lower."""
     return {
         name: {count: min(ratio, limits.get(name, {}).get(count, ratio)) for count, ratio in ratios(tally).items()}
         for name, tally in tallies.items()
@@ -241,7 +241,7 @@ def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--table", action="store_true", help="print all counts")
     parser.add_argument("--places", nargs=2, metavar=("COUNT", "FOLDER"), help="print where a count comes from")
-    parser.add_argument("--tighten", action="store_true", help="lower the limits to the counts of now")
+    parser.add_argument("--tighten", action="store_true", help="lower the limits to the current counts")
     args = parser.parse_args(words)
     tallies = count_all(ROOT)
     if args.table:

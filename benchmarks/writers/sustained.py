@@ -46,7 +46,7 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
     """
     ticks = [as_in_the_loop(*tick) for tick in synthetic.Synthetic(synthetic.header(HAND, RATE_HZ), CYCLE_S)]
     recorder = Recorder.start(path, synthetic.header(HAND, RATE_HZ, deterministic=False))
-    with _apart(recorder._child.pid) as granted:
+    with _on_separate_cores(recorder._child.pid) as granted:
         before = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
         spent = _processor_s(recorder._child.pid)
         start = time.perf_counter()
@@ -76,7 +76,7 @@ def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
 
 
 @contextmanager
-def _apart(recorder: int) -> Iterator[bool]:
+def _on_separate_cores(recorder: int) -> Iterator[bool]:
     """Put loop and recorder on different cores if there are two. Return True if the loop has real-time priority."""
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     if cores:

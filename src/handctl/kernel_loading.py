@@ -1,10 +1,11 @@
 """Loads the stored code of kernels without the parts of numba that only compilation needs.
 
-numba loads a stored function by three steps that take most of the time. It registers the types and functions that it
-can compile. It imports the modules of its own functions that are parts of the stored one. It parses the intermediate
-code (bitcode) from which other functions can inline this one. A program that finds all kernels in the folder compiles
-nothing, and needs none of them. numba registers its types if it compiles later, and the bitcode of a kernel is parsed
-if another kernel calls it.
+numba loads a stored function by three steps that take most of the time. First, numba registers all
+types and functions that can be compiled. Second, it imports the modules of the numba functions that
+the stored function contains. Third, it parses the intermediate code (bitcode) of the stored
+function, which other functions need to inline it. A program that finds all kernels in the folder
+compiles nothing, and needs none of them. numba registers its types if it compiles later, and the
+bitcode of a kernel is parsed if another kernel calls it.
 
 These steps are internal to numba. They are left out for the versions in ``KNOWN`` alone.
 """

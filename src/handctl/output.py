@@ -181,7 +181,7 @@ def _move_into_place(beside: Path, target: Path, new: bool) -> None:
 
 def _fsync(path: Path) -> None:
     """Write the content of a file, or the entries of a folder, to the disk (fsync)."""
-    with suppress(PermissionError):  # of a folder that may be written to, but not read
+    with suppress(PermissionError):  # the folder may be writable but not readable
         descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)

@@ -85,7 +85,7 @@ def test_examples_work_beside_a_simulator_and_a_running_hand(terminal, others, s
     others(f"{simulator} --time-scale {SCALE * slower:g}")
     wait_for(terminal, "handctl fault kinds --bus local:demo")
     for words in BESIDE_A_SIMULATOR:
-        if words != "fault inject":  # its fault would disturb the run
+        if words != "fault inject":  # the injected fault would disturb the run
             paste(terminal, words)
     for words in sorted(BESIDE_A_RUN, key=lambda one: one == "stop"):  # the run ends with stop
         if words == BESIDE_A_RUN[0]:

@@ -159,7 +159,7 @@ READS = {
 def test_texts_of_files_are_escaped_and_shortened(place, capsys, what, content):
     (place / "odd.toml").write_text(FILES[content])
     lines = refused_lines(capsys, *READS[what])
-    assert len(lines) == 1 or what == "hand"  # a hand file has all its mistakes told at once
+    assert len(lines) == 1 or what == "hand"  # all mistakes of a hand file are reported together
     for line in lines:
         assert line[:-1].isprintable()
         assert len(line) < LONGEST_MESSAGE + 20

@@ -26,7 +26,7 @@ def run_demos(folder, *hands, task=""):
     """Return the results of lockstep demos, run in parallel processes, with a task instead of the grasp on request."""
     running = []
     for number, hand in enumerate(hands):
-        time.sleep(1.1 * number)  # so that whatever holds the second of its start is another in each
+        time.sleep(1.1 * number)  # the runs start in different seconds
         place = folder / str(number)
         place.mkdir()
         command = [sys.executable, "-m", "handctl.cli", "demo", "--lockstep", "--json", "--log", "run.mcap"]

@@ -50,7 +50,7 @@ def everything(place):
 
 
 CASES = [(what, name) for what in NOWHERE for name in ("folder", "no-folder/x", "file/x", "other.mcap")]
-CASES.remove(("save", "other.mcap"))  # its name is other.mcap.rrd
+CASES.remove(("save", "other.mcap"))  # save writes other.mcap.rrd instead
 
 
 @pytest.mark.parametrize(("what", "name"), CASES)

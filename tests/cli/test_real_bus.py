@@ -80,7 +80,7 @@ def at_a_terminal(answer: str) -> tuple[int, str]:
     while time.monotonic() < end and select.select([ours], [], [], 60.0)[0]:
         try:
             piece = os.read(ours, 4096).decode()
-        except OSError:  # nobody holds the other end any more
+        except OSError:  # the other end is closed
             break
         shown += piece
         if "[y/N]" in shown and not answered:

@@ -36,7 +36,7 @@ def test_no_room_for_the_output_is_one_line(unbuffered):
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("verb", [("config", "list"), ("paper", "--quick")])  # with print, and a table of rich
+@pytest.mark.parametrize("verb", [("config", "list"), ("paper", "--quick")])  # output by print, and by a table of rich
 def test_output_without_a_reader_is_no_error(verb):
     read, write = os.pipe()
     os.close(read)

@@ -79,7 +79,7 @@ def test_every_row_is_tried() -> None:
 def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
     for row in MATRIX:
         entry = BY_ID[row.id]
-        if row.rows[:1] == ("B11b",):  # its second stage, which counts ten ticks
+        if row.rows[:1] == ("B11b",):  # the second stage of B11, which counts ten ticks
             assert row.ticks == 11
             continue
         assert row.ticks * 2.0 + row.ms <= entry.latest_ms(500.0), row

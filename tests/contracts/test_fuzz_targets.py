@@ -52,7 +52,7 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(tmp_path: Path, monkeypa
     parts = logs._parts(tmp_path / "small.mcap")
     messages = ((i, at) for i, part in enumerate(parts) for at, one in enumerate(part) if one[0] == Opcode.MESSAGE)
     part, tick = next(messages)
-    number = 22 + 4  # of the tick: behind channel, sequence and times of a message, and the mark of its encoding
+    number = 22 + 4  # offset of the tick number: after the message header (22) and the encoding mark (4)
     replaced, anywhere, given, one_byte = 3, 1, 0, 0
     choices = (part, tick, replaced, number, anywhere, given, one_byte)
     assert not target(b"".join(n.to_bytes(2, "little") for n in choices) + b"\x07")

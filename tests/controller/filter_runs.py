@@ -190,7 +190,7 @@ def corrected_state(model: HandModel, state: FilterState, measured: Readings) ->
 def state_of(model: HandModel, filtered: FilterState) -> State:
     """Return the state of a controller with the given filter state."""
     run = active_state(model)
-    run.mode = Mode.ARMING  # in which a planned contact counts, and none is felt
+    run.mode = Mode.ARMING  # this mode uses planned contacts, and detects none
     write_filter_state(run, filtered)
     return run
 

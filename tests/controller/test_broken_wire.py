@@ -31,7 +31,7 @@ def at_the_rail(model: HandModel) -> Bench:
     """Return an active hand that relaxes in this tick, because a load cell is at its upper rail."""
     run = bench(model, LiveProgram())
     run.until(Mode.ACTIVE)
-    run.peer.bias[:] = 60.0  # so that it goes on relaxing
+    run.peer.bias[:] = 60.0  # the tension stays high, so RELAX goes on
     run.peer.bias[1] = 300.0
     run.until(Mode.RELAX)
     return run

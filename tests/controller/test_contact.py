@@ -59,7 +59,7 @@ def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
     planned = 1.0
     while planned < seconds:
         speed, goal = chance.uniform(20.0, 100.0), {"index": chance.uniform(25, 50)}
-        # the middle finger and the thumb would meet each other
+        # otherwise the middle finger and the thumb would touch
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:

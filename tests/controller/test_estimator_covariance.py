@@ -92,7 +92,7 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing
     regimes = set()
     tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter.blocks])
     for k in range(ticks):
-        # the motor holds the rope as a controller would, and a plan keeps the tension from walking away
+        # the motor holds the tendon like a controller, and a plan prevents a drift of the tension
         tension = (tension_rows * truth).sum(axis=1)
         away = truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
         force = (tension if free else 40.0) - model.space.motor_mass * (40.0 * truth[:, V] + 400.0 * free * away)

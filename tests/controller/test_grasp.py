@@ -312,10 +312,10 @@ def run_release(
 
 
 @pytest.mark.parametrize(("tension", "settle", "took", "told"), [
-    (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # not for ever
+    (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # up to the timeout
     (8.0 + RELEASED_WITHIN_N, 0.1, RELEASE_TIMEOUT_S, True),
     (7.9 + RELEASED_WITHIN_N, 0.1, 0.1, False),
-    (9.0, 12.0, 12.0, False),                  # the time to settle counts, though it is longer
+    (9.0, 12.0, 12.0, False),                  # the settling time counts, even if longer
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip
 def test_a_release_that_does_not_let_go_is_reported(model, taut, tension, settle, took, told) -> None:

@@ -320,7 +320,7 @@ def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand: Bench) -> None:
 
 def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(quick: HandModel) -> None:
     run = bench(quick, LiveProgram())
-    run.peer.tear(1)  # its load cell stays at zero
+    run.peer.tear(1)  # the load cell of a torn tendon reads zero
     run.until(Mode.DONE, 20.0)
     assert run.state.failure == "not taut after 4 s: middle_tendon"
     assert run.modes == HAPPY + HOME

@@ -468,7 +468,7 @@ def test_tensions_follow_a_stream(jamia: HandModel) -> None:
     with live(jamia) as client:
         assert "expected one of angles" in client.open("tension", ("index_tendon",), stiffness_N_m_per_rad=1.0)
         assert client.open("tension", ("index_tendon",)).startswith("stream tension of 1 values")
-        for i in range(2000):  # slow, because a newton moves a free finger by twelve degrees
+        for i in range(2000):  # slowly: 1 N moves a free finger by 12 deg
             wave = 10.0 + 3.0 * math.sin(2.0 * math.pi * i / 1000)
             client.tick(*([client.target(wave)] if i % 5 == 0 else []))
         goal = np.array([out.telemetry.tension_goal[0] for out in client.outs[-1000:]])

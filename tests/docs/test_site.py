@@ -18,7 +18,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     assert built.returncode == 0, built.stderr
     assert built.stderr == ""
     made = sorted((tmp_path / "site").rglob("*.html"))
-    assert len(made) == len(list((ROOT / "docs").rglob("*.md"))) + 1  # and the page of a wrong address
+    assert len(made) == len(list((ROOT / "docs").rglob("*.md"))) + 1  # the error page 404.html is added
     texts = [page.read_text(encoding="utf-8") for page in made]
     assert [match[0] for text in texts for match in FETCHED.finditer(text)] == []
     # A list that its source does not end properly runs into the paragraph before it.

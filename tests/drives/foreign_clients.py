@@ -181,7 +181,7 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
         node = BaseNode402(node_id, str(EDS))
         network.add_node(node)
         node.nmt.state = "RESET COMMUNICATION"
-        wait_for(lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up")  # wait_for_bootup misses one that is quick
+        wait_for(lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up")  # wait_for_bootup misses a quick boot-up
         assert node.sdo[0x1018][1].raw == node.object_dictionary[0x1018][1].default
         node.setup_402_state_machine()
         node.tpdo[1].trans_type = 1

@@ -203,7 +203,7 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(library: Any, see
             ours = [(int.from_bytes(data, "little") >> 4 + 12 * i) & 0xFFF for i in range(len(group))]
             assert len(data) == len(pack(counter, ours))
             assert data == pack(counter, ours)
-            # A tension in the middle between two codes may be rounded either way.
+            # A tension halfway between two codes may be rounded up or down.
             assert all(abs(code - tension_code(tension)) <= 1 for code, tension in zip(ours, group, strict=True))
 
 

@@ -80,7 +80,7 @@ def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
     nibbles = [counter & 0xF for counter in sync_counters(decimation)]
     n = len(nibbles)
     for age in range(1, 200):
-        same = [k >= age and nibbles[k] == nibbles[k - age] for k in range(n)]  # but for the seam
+        same = [k >= age and nibbles[k] == nibbles[k - age] for k in range(n)]  # without the first ones
         assert sum(same) <= (0 if age < 8 else 0.4 * n), age
         worst = max(sum(same[k : k + 100]) for k in range(n - 100))
         assert worst < 60, age

@@ -33,7 +33,7 @@ class VirtualBench:
         spec = drive_spec(protocol, NODE, inertia=inertia)
         self.bench = Bench([replace(spec, options=options or spec.options)], fault=fault)
         self.waiting, self.top, self.origin_ns = [], 0.0, 0
-        self.late = [[] for _ in range(delay)]  # what the wire still holds, tick by tick
+        self.late = [[] for _ in range(delay)]  # frames that are still delayed, one list per tick
 
     def start(self):
         """Begin a run: its tick 0 is now."""

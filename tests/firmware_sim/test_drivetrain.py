@@ -124,7 +124,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = World(load_hand(hand), load_scene(None), seed=2)
         motor = next(iter(world.plant.motors.values()))
-        motor.omega, motor.viscous, motor.coulomb = -3.0, 0.0, 0.0  # it unwinds a slack rope
+        motor.omega, motor.viscous, motor.coulomb = -3.0, 0.0, 0.0  # the spool unwinds a slack tendon
         period_ns, angles = round(1e9 / rate_hz), []
         for k in range(40):
             world.reach(k * period_ns)

@@ -113,7 +113,7 @@ CASES = [
 def test_the_kernel_answers_as_the_nodes_do(protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path) -> None:
     hand = hand_file(tmp_path, protocols, buses)
     rigs = [Rig(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")]
-    rigs[1].world.faults.in_frames = True  # every frame goes through the nodes, and they speak for themselves
+    rigs[1].world.faults.in_frames = True  # every frame goes through the Python nodes
     count = 0
     for k, frames in enumerate(stream(protocols, 400, seed, buses)):
         answers, nodes = (rig.step(k * TICK_NS, frames) for rig in rigs)

@@ -141,7 +141,7 @@ def test_half_a_record_is_finished_before_the_next(hub: Hub, client: Callable[[]
     while not hub.writers():
         hub.send(batch)
         assert hub.dropped < 1_000_000, "the kernel never took a part of a record"
-        batch += record(0, b"")  # another length, another place to be cut
+        batch += record(0, b"")  # another length, so that the cut is at another byte
     dropped = hub.dropped
     hub.send(record(1, b"while one is half sent"))
     assert hub.dropped == dropped + 1

@@ -89,7 +89,7 @@ def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:
     for k in range(200, 240):
         rig.step(k * TICK_NS, [sync(k)])
         torque.append(rig.world.plant.motors["index_motor"].torque)
-    # the last command came at tick 199: 50 ms are over at tick 224
+    # the last command came at tick 199, so the timeout of 50 ms ends at tick 224
     assert all(value == pytest.approx(torque[0], rel=1e-6) for value in torque[:24])
     assert abs(torque[26]) < 1e-3
     answers = tick(rig, 240, 0.1)
@@ -159,10 +159,10 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
     assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
     assert len(truth.t_ns) == 500
     assert np.isfinite(truth.values).all()
-    # a row holds the state of its own time: dq is the slope of q
+    # the speed and the angle of a row belong to the same time: dq is the slope of q
     q, dq = truth.column("q/index_j1"), truth.column("dq/index_j1")
     assert q[-1] - q[0] == pytest.approx(float(np.sum(dq[1:] + dq[:-1]) / 2 * 1e-3), abs=5e-3)
-    # what the load cell said is the truth, give or take noise
+    # the load cell reads the true tension with noise
     assert truth.column("tension/index_tendon")[-1] == pytest.approx(20.0, abs=4.0)
 
 
@@ -174,7 +174,7 @@ def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
     tension = read_truth(path).column("tension/index_tendon")
     read = [(int.from_bytes(tick[0].data, "little") >> 4 & 0xFFF) * 0.0625 - 6.0 for tick in answers[1:]]
     error = np.array(read) - tension[2::2][: len(read)]
-    # half a count, and the drift of one second
+    # tolerance: half a count, and the drift of one second
     assert np.abs(error).max() < 0.03125 + 0.6
     assert np.std(np.diff(error)) < 0.05
 

@@ -165,7 +165,7 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
     lines: list[str] = []
     pace = Pace(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
     plant_ns = 0
-    for _ in range(100):  # 10 s: a tenth of real time, always at work
+    for _ in range(100):  # 10 s with a pace of a tenth of real time, without idle time
         now["wall"] += 0.1
         now["cpu"] += 0.1
         plant_ns += 10 * MS

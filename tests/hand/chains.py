@@ -28,7 +28,7 @@ def random_hand(seed: int, *counts: int, chance: np.random.Generator | None = No
     digits = [random_digit(chance, f"d{number}", count) for number, count in enumerate(counts)]
     line: list[str] = []
     for digit in digits if mounted else ():
-        # On a digit of the line from the digit before to the palm, or on the palm.
+        # The carrier is the palm, the digit before, or a carrier of that digit.
         level = int(chance.integers(0, len(line) + 1))
         if level:
             digit["mount_on"] = line[level - 1]

@@ -307,7 +307,7 @@ def test_meshes_have_no_effect_on_the_dynamics(
         "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare)),
         "simulator": mujoco.MjModel.from_xml_string(model_text(simulated, load_scene(None))),
     }
-    # The plant of a run is that of a hand without meshes, to the letter.
+    # The plant of a run has the same text as without meshes.
     meshed_plant = model_text(simulated_hand(str(folder / "hand.toml")), load_scene("cylinder"))
     assert meshed_plant == model_text(simulated, load_scene("cylinder"))
     for kind, other in without.items():

@@ -26,7 +26,7 @@ def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -
     hand = with_varying_arms(name, 0.3, kind)
     for digit in (DigitModel.of(hand, one) for one in hand.digit_names):
         for seed in SEEDS:
-            # Beyond the limits, too: there the arm is constant.
+            # Some angles are beyond the limits, where the arm is constant.
             q = np.random.default_rng(seed).uniform(digit.joint_min - 0.2, digit.joint_max + 0.2)
             step = 1e-6
             slope = [

@@ -102,7 +102,7 @@ def test_no_number_may_be_absurdly_large(refusal, content, path, value):
 def test_a_missing_key_is_refused(refusal, name):
     for path, table in tables(CONTENT[name]):
         for key in table:
-            if key in ("schema", "sensor_node") or "mesh" in key:  # they may be absent
+            if key in ("schema", "sensor_node") or "mesh" in key:  # these keys are optional
                 continue
             content = with_value(CONTENT[name], (*path, key), None)
             node = content

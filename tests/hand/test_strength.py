@@ -28,7 +28,7 @@ def with_ratings(
 
 @pytest.mark.parametrize("name", [name for name in packaged_hands() if name.startswith("jamia")])
 def test_check_warns_of_each_jamia_and_accepts_it(name, capsys):
-    """Their motors can make 250 N and more, 500 N in a runaway: less than 1.5 to the 620 N of the tendon."""
+    """The motors make 250 N and more, 500 N in a runaway. The strength of 620 N is less than 1.5 times that."""
     assert main(["config", "check", "--hand", name]) == 0
     warned = [line for line in capsys.readouterr().out.splitlines() if line.startswith("# warning: ")]
     assert any("torque_peak_N_m" in line and "limit the drive to 207 N = 1.03 N m" in line for line in warned)
@@ -52,8 +52,8 @@ def test_a_drive_limit_too_high_is_reported_with_the_right_one():
     hand = with_ratings(load_hand("jamia"), strength=470.0)
     (line,) = [line for line in strength_warnings(hand) if "drive_limit_N" in line]
     assert line.startswith("index_tendon, middle_tendon and 2 more: drive_limit_N (160 N at the tendon) makes 320 N")
-    assert "a factor of 1.47 to the 470 N" in line
-    assert line.endswith("157 N = 0.783 N m for 1.5")
+    assert "The strength of 470 N is 1.47 times this tension" in line
+    assert line.endswith("expected a factor of 1.5: limit the drive to 157 N = 0.783 N m")
 
 
 def test_joints_without_rating_are_reported_and_weak_ones_by_name():

@@ -63,7 +63,7 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     decoders = pytest.importorskip("torchcodec.decoders", reason="LeRobot needs torchcodec")
     try:
         decoders.VideoDecoder(str(write_video(tmp_path / "any.mp4", 0.2)))
-    except RuntimeError as error:  # tests/lerobot/test_environment.py makes them known
+    except RuntimeError as error:  # test_environment.py makes the libraries known
         pytest.skip(f"torchcodec finds no FFmpeg libraries: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 

@@ -1,4 +1,4 @@
-"""Verdicts follow from printed digits and exact values."""
+"""The verdict on a printed number follows from its decimal places and the exact value."""
 
 from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from fractions import Fraction

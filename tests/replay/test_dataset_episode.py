@@ -70,7 +70,7 @@ def test_the_curve_passes_through_the_actions(dataset: Path) -> None:
     np.testing.assert_allclose(recording.q[rows[exact]], wanted[exact], atol=1e-6)
     np.testing.assert_allclose(recording.dq[0], 0.0, atol=1e-9)
     slope = np.diff(recording.q, axis=0) / PERIOD
-    np.testing.assert_allclose(slope[:-10], recording.dq[1:-10], atol=0.3)  # the end comes to rest
+    np.testing.assert_allclose(slope[:-10], recording.dq[1:-10], atol=0.3)  # the motion stops at the end
 
 
 def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:

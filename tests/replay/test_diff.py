@@ -26,7 +26,7 @@ def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
 def test_a_lost_object_is_seen_in_the_hold_phase(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-lost.mcap") as b:
         compared = compare_logs(a, b, "b")
-    # Where a digit touches, its angles follow from its tension: a newton is worth some degrees.
+    # The angles of a digit in contact follow from its tension: a newton changes them by some degrees.
     assert compared["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
     assert compared["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
 

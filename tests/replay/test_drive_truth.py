@@ -12,7 +12,7 @@ import runs
 from numpy.typing import NDArray
 
 from handctl.log.read.reader import RunLog
-from handctl.replay.drive_again import active_interval, compare_replay, playback_program
+from handctl.replay.motion_replay import active_interval, compare_replay, playback_program
 from handctl.report.truth import read_truth
 
 Array = NDArray[np.float64]

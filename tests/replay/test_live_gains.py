@@ -66,7 +66,7 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tm
 
 @pytest.mark.parametrize("torque_gain", [0.72, 1.35])
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
-    """A drive reports the torque that it believes to make. The difference to the corrected command once was N14."""
+    """A drive reports its nominal torque. Regression: its difference to the corrected command was reported as N14."""
     hand = load_hand("jamia")
     plan = Plan(hand, Gains(), 500.0, ())
     program = JogProgram(HoldTension(do="hold", tension_N={"index": 75.0}), 2.0)

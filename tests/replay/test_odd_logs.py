@@ -19,7 +19,8 @@ from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack_tick_record
 from handctl.log.write.writer import LogWriter
-from handctl.replay.drive_again import (
+from handctl.replay.execute import execute_log
+from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
     count_missing_ticks,
@@ -27,7 +28,6 @@ from handctl.replay.drive_again import (
     playback_program,
     recorded_targets,
 )
-from handctl.replay.execute import execute_log
 from handctl.replay.other_limits import judge_by_limits
 from handctl.replay.tick_difference import Columns, are_outputs_equal, differing_fields
 

@@ -25,8 +25,8 @@ def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, Tr
     )
     fall = np.interp(np.arange(TICKS), [SINKS, ENDS - 1], [0.0, 1.0])
     set_column(truth, "support", sunk_m * fall)
-    set_column(truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICKS) >= ENDS))  # let go, it falls
-    set_column(truth, "object/x", 0.05 * (np.arange(TICKS) < 150))  # it was shoved before, on the table
+    set_column(truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICKS) >= ENDS))  # a released object falls
+    set_column(truth, "object/x", 0.05 * (np.arange(TICKS) < 150))  # the object was pushed before the lift
     return log, truth
 
 

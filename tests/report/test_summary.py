@@ -76,8 +76,8 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA.joints[joints]:
         motion = np.full(200, 0.49)
-        motion[100:120] = 0.2  # while it touches, as the controller knows
-        motion[120:140] = 0.1  # while it touches, as only the plant knows
+        motion[100:120] = 0.2  # contact that the controller detected
+        motion[120:140] = 0.1  # contact that only the plant has
         motion[140:160] = 0.0  # not active
         set_column(truth, f"q/{joint}", motion)
     log.fields["contact"][100:120, 0] = 1.0
@@ -142,7 +142,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
     wave = np.where(np.arange(400) % 2, 1.5, -1.5)
     set_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
     set_column(truth, f"tension/{thumb}", 25.0 + 0.7)
-    set_column(truth, f"tension/{middle}", 3.0)  # in the air: its goal is a feed-forward, no promise
+    set_column(truth, f"tension/{middle}", 3.0)  # without contact, its goal is only a feedforward
     result = summarise(log, JAMIA, truth, 0)
     assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
     assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)
@@ -162,9 +162,9 @@ def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
 def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> None:
     log, truth = holding(), truth_of(JAMIA, 400)
     x = np.zeros(400)
-    x[:169] = 0.050  # before it is held
+    x[:169] = 0.050  # before the hold
     x[200], x[201] = 3e-4, -4e-4
-    x[300:] = 0.080  # after it was let go
+    x[300:] = 0.080  # after the release
     set_column(truth, "object/x", x)
     set_column(truth, "object/z", np.where(np.arange(400) == 201, 3e-4, 0.0))
     assert summarise(log, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.5)

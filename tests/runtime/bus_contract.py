@@ -117,7 +117,7 @@ def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
     for number in range(20):
         sender.send([Frame(number, b"")])
     stamps = [frame.t_ns - offset for frame in drain_bus(receiver, 20)]
-    slack = 20_000_000  # wall clock against monotonic clock
+    slack = 20_000_000  # difference of wall clock and monotonic clock
     assert len(stamps) == 20
     assert stamps == sorted(stamps)
     assert start - slack <= stamps[0]

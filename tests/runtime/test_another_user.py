@@ -31,7 +31,7 @@ from tests.runtime.processes import BUS, end, handctl, modes_of_complete, result
 
 NOBODY = 65534
 SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
-UNCONFIRMED = "nobody has confirmed: switch the power off"
+UNCONFIRMED = "no confirmation from the controller: switch the power off"
 
 
 def as_nobody(do) -> str:
@@ -189,7 +189,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
     assert as_nobody(lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))) == (
         "PermissionError"
     )
-    for path in (folder, folder.parent):  # somebody opens it while the controller runs
+    for path in (folder, folder.parent):  # another user gets access while the controller runs
         path.chmod(0o777)
     started, ready = os.pipe()
     over, finish = os.pipe()
@@ -288,7 +288,7 @@ class Answering:
             ]
             self.taken += [event["text"].split()[1] for event in events]
             line = {"k": k, "t_s": k * 0.002, "mode": mode, "phase": "", "events": events}
-            if mode == "RELAX" and (self.box.watchers or self._deaf):  # relaxing takes until a watcher has subscribed
+            if mode == "RELAX" and (self.box.watchers or self._deaf):  # RELAX lasts until a watcher has subscribed
                 mode = "" if self._deaf == "RELAX" else "DONE"
                 line |= {"mode": mode, "events": [{"name": "mode", "where": "", "text": self._end}]}
             if mode == "ACTIVE" and "stop" in self.taken:

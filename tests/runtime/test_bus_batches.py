@@ -226,7 +226,7 @@ def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
 def test_the_kernels_stamps_become_the_runs_time(udp: tuple[SocketCanBus, socket.socket], scale: float) -> None:
     bus, far = udp
     bus._stamp = lambda t_ns: int((t_ns - 1000) * scale)
-    time.sleep(0.3)  # the kernel begins to stamp a little after it was asked for it
+    time.sleep(0.3)  # the kernel begins to add time stamps with a delay
     for _ in range(3):
         before = time.monotonic_ns()
         for number in range(11):

@@ -54,7 +54,7 @@ def test_passive_lasts_until_the_controller_reports_another_state() -> None:
     events.take()
     for _ in range(3):
         assert events.take() == [("error_passive", "can0", 1)]
-    events.error_frame(ERROR | 0x04, bytes((0, 0x01)))  # an overflow says nothing about it
+    events.error_frame(ERROR | 0x04, bytes((0, 0x01)))  # an overflow does not change the state of the controller
     assert "error_passive" in kinds(events)
     events.error_frame(ERROR | 0x04, bytes((0, 0x08)))
     events.take()

@@ -144,7 +144,7 @@ def test_fd_can_be_disabled(ours: Bus) -> None:
             theirs.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
         ours.send([Frame(0x6F1, bytes(12), 4), Frame(0x6F2, b"old")])
         received = theirs.recv(5.0)
-        while received is not None and received.arbitration_id < 0x6F1:  # a client of before, still in the hub
+        while received is not None and received.arbitration_id < 0x6F1:  # frames of an earlier client, still in the hub
             received = theirs.recv(5.0)
     assert received is not None
     assert received.arbitration_id == 0x6F2
@@ -193,7 +193,7 @@ def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_pa
     logger = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         end = time.monotonic() + 30.0
-        while not file.exists():  # it opens its file once it has the bus
+        while not file.exists():  # the logger opens its file after the bus
             assert time.monotonic() < end
             time.sleep(0.02)
         for _ in range(20):

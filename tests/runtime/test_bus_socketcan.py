@@ -57,7 +57,7 @@ def test_a_short_frame_after_a_long_one_has_none_of_its_bytes(
 
 def test_the_size_of_a_datagram_distinguishes_fd_from_classical(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
-    far.send(FD.pack(1, 8, 0, bytes(8)))  # kernels before 6.1 leave CANFD_FDF out
+    far.send(FD.pack(1, 8, 0, bytes(8)))  # kernels before 6.1 do not set CANFD_FDF
     far.send(CLASSICAL.pack(1, 8, bytes(8)))
     assert [frame.flags for frame in waited(bus, 2)] == [FDF, 0]
 
@@ -140,7 +140,7 @@ def test_frames_that_overflow_the_socket_are_counted(udp: tuple[SocketCanBus, so
         for number in range(2000):
             far.send(CLASSICAL.pack(number & 0x7FF, 0, b""))
         received += len(bus.drain())
-        far.send(CLASSICAL.pack(0, 0, b""))  # the kernel tells its count with the next one that fits
+        far.send(CLASSICAL.pack(0, 0, b""))  # the kernel reports its count with the next frame that fits
         received += len(waited(bus, 1))
         sent += 2001
         dropped += [number for kind, _, number in bus.take_events() if kind == "dropped"]
@@ -166,7 +166,7 @@ def test_a_full_queue_refuses_without_waiting() -> None:
 def test_a_broken_socket_is_an_event(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
     far.close()
-    bus.send([Frame(1, b"")])  # comes back as "connection refused"
+    bus.send([Frame(1, b"")])  # the next call fails with "connection refused"
     assert bus.drain() == []
     assert bus.take_events() == [("enodev", "socketcan:test", 1)]
     for _ in range(3):

@@ -84,7 +84,7 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     assert watch.states[0].position == pytest.approx(TURNED_RAD, abs=0.01)
     assert (
         all(not math.isnan(state.temperature) for state in watch.states) or protocol == "cia402"
-    )  # has no object of it
+    )  # CiA 402 has no object with the temperature
     tensions = [reading.at(place.t_ns) for reading in watch.tensions.values()]
     assert len(tensions) == len(place.motors)
     assert all(abs(tension) < 8.0 for tension in tensions)

@@ -53,7 +53,7 @@ def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(monkeypatch: 
     clock = RealClock(PERIOD, 0.1)
     clock.start()
     clock.wait(0)
-    wall.now = clock.start_ns + 25 * PERIOD  # tick 1 was due after ten periods of wall time, tick 2 after twenty
+    wall.now = clock.start_ns + 25 * PERIOD  # due: tick 1 after 10 periods of wall time, tick 2 after 20
     assert clock.wait(1) == pytest.approx(1.5 * PERIOD, abs=1000)
     assert clock.wait(2) == pytest.approx(0.5 * PERIOD, abs=1000)
     assert clock.wait(3) < 1000

@@ -19,7 +19,7 @@ def all_batches(times, seed, scale):
 
 @pytest.mark.timeout(300 + 15 * TIMES)
 def test_drives_remove_torque_and_logs_end_with_the_last_tick(slower):
-    # Controllers are forked and lock their memory: from a small process, not from this one with all tests in it.
+    # A forked controller locks its memory. So fork from a small process, not from this one with all tests.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         runs = pool.apply(all_batches, (TIMES, 20261121, SCALE * slower))
     assert [run for run in runs if not run.safe] == [], "torque is left after the drives' watchdog"

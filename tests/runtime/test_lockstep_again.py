@@ -21,7 +21,7 @@ RUNS = 2
 
 
 CASES = [
-    ("cia402", None),  # the only one that tells its drives something after they are off
+    ("cia402", None),  # only this protocol sends frames after its drives are off
     *(pytest.param(name, None, marks=pytest.mark.nightly) for name in sorted(PROTOCOLS) if name != "cia402"),
     *(pytest.param(name, [], marks=pytest.mark.nightly) for name in GUARDED),
 ]

@@ -225,7 +225,7 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     else:
         whole = getattr(left, stage)
         setattr(left, stage, lambda *words: raising() if run.recorded else whole(*words))
-    with pytest.raises(PowerError if stage == "send" else TroubleError):  # who cannot be cut may pull on
+    with pytest.raises(PowerError if stage == "send" else TroubleError):  # a drive without a cut may still pull
         run.go()
     assert right.sent[-1] == (CUT[1],)
     if stage != "send":

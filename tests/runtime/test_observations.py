@@ -125,7 +125,7 @@ def test_a_half_written_record_is_not_returned() -> None:
     writer = ObservationWriter("local:x", AXES, {})
     reader = ObservationReader("local:x")
     write(writer, 1)
-    writer._counters[0][0] = 3  # as while the second round begins
+    writer._counters[0][0] = 3  # the counter while record 2 is written
     assert reader.read(0) is None
     assert reader.latest() is None, "and a reader does not wait for a writer that has died"
     reader.close()

@@ -100,7 +100,7 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated,
 def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes, scale):
     process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
-    process.send_signal(signal.SIGTERM)  # another one: the kernel would make one of two SIGINT in a row
+    process.send_signal(signal.SIGTERM)  # the kernel would merge two SIGINT in a row
     code, _, err = result_of(process)
     assert code == 0, err
     assert modes_of_complete(place / "run.mcap")[-3:] == ["RELAX -> CUT", "CUT -> DISARM", "DISARM -> DONE"]

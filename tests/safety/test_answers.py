@@ -44,11 +44,11 @@ class OpenRequests(Monitor):
 @pytest.mark.parametrize(("owed", "able", "after"), [
     (((), ()), (True, True), ((7,), (7,))),
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
-    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # whoever does not answer all owes the last
+    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # a node that may skip replies owes the last one
     (((), ()), (False, False), ((7,), (7,))),
     ((tuple(range(7)), tuple(range(-1, 7))), (True, True), ((*range(7), 7), tuple(range(8)))),
-    (((7 - WINDOW, 6), (8 - WINDOW, 6)), (True, True), ((6, 7), (8 - WINDOW, 6, 7))),    # too old: given up
-    (((-WINDOW, 7 - WINDOW), (-WINDOW,)), (True, True), ((7 - WINDOW, 7), (-WINDOW, 7))),    # but the last one
+    (((7 - WINDOW, 6), (8 - WINDOW, 6)), (True, True), ((6, 7), (8 - WINDOW, 6, 7))),    # the oldest request expires
+    (((-WINDOW, 7 - WINDOW), (-WINDOW,)), (True, True), ((7 - WINDOW, 7), (-WINDOW, 7))),    # not the last request
 ])  # fmt: skip
 def test_a_request_increases_the_number_of_outstanding_replies(owed, able, after):
     questions = OpenRequests(owed)
@@ -67,10 +67,10 @@ def test_outstanding_requests_are_limited() -> None:
 @pytest.mark.parametrize(("owed", "came", "after", "too_many"), [
     (((1,), (1,)), [1, 1], ((), ()), []),
     (((1,), (1,)), [1, 0], ((), (1,)), []),
-    (((1, 2), (2,)), [2, 1], ((), ()), []),                   # a late one with a fresh one
+    (((1, 2), (2,)), [2, 1], ((), ()), []),                   # a late reply and a new reply
     (((1,), (1,)), [2, 1], ((), ()), [0]),
     (((), (1,)), [1, 3], ((), ()), [0, 1]),
-    (((1, 2, 3), ()), [1, 0], ((1, 2), ()), []),              # what was lost grows old
+    (((1, 2, 3), ()), [1, 0], ((1, 2), ()), []),              # lost replies stay outstanding
     (((), ()), [0, 0], ((), ()), []),
     (((1,), (1, 2)), [1, 1], ((), (1,)), []),
     (((1,), ()), [1, 1], ((), ()), [1]),

@@ -53,7 +53,7 @@ class Window(Monitor):
     ((0, 0), (True, True), (0b1, 0b1)),
     ((0b1, 0b0), (False, True), (0b10, 0b1)),
     ((0b101, 0b1), (True, True), (0b1011, 0b11)),
-    ((1 << (WINDOW - 1), 0), (False, False), (0, 0)),                # the last bit has left
+    ((1 << (WINDOW - 1), 0), (False, False), (0, 0)),                # the oldest bit leaves the window
     ((1 << (WINDOW - 1), 0), (True, False), (1, 0)),
     ((1 << (WINDOW - 2), 0), (False, False), (1 << (WINDOW - 1), 0)),
     ((1 << (WINDOW // 2 - 1), 1 << (WINDOW // 2)), (False, True), (1 << WINDOW // 2, 1 << WINDOW // 2 + 1 | 1)),
@@ -154,7 +154,7 @@ def test_the_first_position_is_accepted_wherever_it_is():
 
 @pytest.mark.parametrize(("value", "gap", "wrong"), [
     (1.1, 0, 0.0), (1.125, 0, 0.0), (1.13, 0, 0.13), (0.8, 0, 0.2),
-    (1.25, 1, 0.0), (1.26, 1, 0.26),       # a reading was missed: twice as far
+    (1.25, 1, 0.0), (1.26, 1, 0.26),       # after one missed reading, the step may be twice as large
     (1.5, 3, 0.0), (1.51, 3, 0.51),
 ])  # fmt: skip
 def test_an_impossible_step_is_rejected_and_the_allowed_step_grows(value, gap, wrong):
@@ -188,8 +188,8 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
 
 
 @pytest.mark.parametrize(("missed", "steps", "told"), [
-    # steps of single readings, by what one period allows; which of them jumps. The first reading after skipped ticks
-    # may answer a question of after or of before them, and the second is then late by as much.
+    # Steps of readings in units of the allowed step of a period, and 1 for each jump. The first reading after skipped
+    # ticks may answer a request from before or after them. The second reading is then late by the same time.
     (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),

@@ -34,17 +34,17 @@ class Tendons(Monitor):
 
 
 @pytest.mark.parametrize(("cell", "goal", "before", "after"), [
-    # tension, wanted, (ticks since taut, ticks slack) before and after
+    # tension, commanded tension, (ticks since taut, ticks slack) before and after
     (2.6, 20.0, (-1, 0), (0, 0)),     # taut for the first time
     (2.6, 20.0, (7, 5), (0, 0)),      # taut again
-    (2.5, 20.0, (-1, 0), (-1, 0)),    # never taut yet: nothing to be missed
+    (2.5, 20.0, (-1, 0), (-1, 0)),    # never taut yet, so it cannot go slack
     (0.0, 20.0, (-1, 0), (-1, 0)),
     (2.5, 20.0, (0, 0), (1, 0)),      # between slack and taut
-    (2.0, 20.0, (3, 4), (4, 0)),      # just not slack: the count begins anew
+    (2.0, 20.0, (3, 4), (4, 0)),      # just not slack: the count restarts
     (1.9, 20.0, (3, 4), (4, 5)),
-    (1.9, 2.5, (3, 4), (4, 0)),       # so little is wanted that it may hang
+    (1.9, 2.5, (3, 4), (4, 0)),       # the commanded tension is so low that slack is allowed
     (1.9, 2.6, (3, 4), (4, 5)),
-    (1.9, NAN, (3, 4), (-1, 0)),      # a limp tendon may hang, and is to be taut anew
+    (1.9, NAN, (3, 4), (-1, 0)),      # a limp tendon may be slack, and must become taut again
     (30.0, NAN, (3, 4), (-1, 0)),
     (NAN, 20.0, (3, 4), (4, 0)),      # no sample: neither slack nor taut
 ])  # fmt: skip
@@ -78,13 +78,13 @@ def test_slack_is_reported_by_name_and_in_seconds():
     (50, 0.0, 24.0, 0.05, False),     # 100 ms ago
     (-1, 0.0, 24.0, 0.05, False),     # never taut
     (0, 4.7, 24.0, 0.05, True),
-    (0, 4.81, 24.0, 0.05, False),     # a fifth is left
+    (0, 4.81, 24.0, 0.05, False),     # a fifth of the tension is left
     (0, 4.0, 20.0, 0.05, False),      # exactly
-    (0, 0.0, 8.0, 0.05, False),       # too little was wanted to tell
+    (0, 0.0, 8.0, 0.05, False),       # the commanded tension was too low to decide
     (0, 0.0, 8.1, 0.05, True),
-    (0, 0.0, 24.0, 0.03, False),      # the spool hardly runs
+    (0, 0.0, 24.0, 0.03, False),      # the spool is too slow
     (0, 0.0, 24.0, 0.031, True),
-    (0, 0.0, 24.0, -0.05, False),     # it pays out
+    (0, 0.0, 24.0, -0.05, False),     # the spool pays out
     (0, NAN, 24.0, 0.05, False),
     (0, 0.0, NAN, 0.05, False),
     (0, 0.0, 24.0, NAN, False),
@@ -135,13 +135,13 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
 
 
 @pytest.mark.parametrize(("ticks", "before", "now", "found"), [
-    (49, 30.0, 30.0, False),          # its time is not over
+    (49, 30.0, 30.0, False),          # before the time limit
     (50, 30.0, 30.0, True),
     (51, 30.0, 30.0, True),
     (50, 30.0, 15.1, True),
-    (50, 30.0, 14.9, False),          # it fell by half
-    (50, 24.0, 12.0, False),          # just by half
-    (50, 10.0, 10.0, False),          # no more than springs and weight hold
+    (50, 30.0, 14.9, False),          # the tension fell below half
+    (50, 24.0, 12.0, False),          # the tension fell to exactly half
+    (50, 10.0, 10.0, False),          # no more than the tension by springs and weight
     (50, 10.1, 10.1, True),
     (50, 5.0, 40.0, True),            # grown
     (50, 30.0, NAN, False),

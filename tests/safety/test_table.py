@@ -237,7 +237,7 @@ def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
     right = trace(id_)
     for mutant in changed:
         if (mutant.action, mutant.latched) == (Action.PASS, True) or fault.action == mutant.action == Action.PASS:
-            continue  # a latched PASS is no action
+            continue  # PASS is no action, even if latched
         declare_changed(mutant)
         assert trace(id_) != right, mutant
 

@@ -49,7 +49,7 @@ def resting_tick(**given: Any) -> dict[str, Any]:
     """Return a tick of two tendons at rest under 20 N with some changes. A single number is for both tendons."""
     facts = {"tension": 20.0, "travel": 0.0, "speed": 0.0, "force": 20.0, "excursion": N, "joints": N, "read": False}
     facts |= given
-    # Of one encoder: the travel is the position times the radius of the spool.
+    # Both are of one encoder: the travel is the position times the radius of the spool.
     facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_M)
     return {NAMES[name]: value for name, value in facts.items()}
 

@@ -58,7 +58,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
         assert one.met or one.blocked
         assert not set(one.names) & set(SWEEP_PARAMETERS)
     real = truth(load_hand(hand), next(iter(found)), plant(0) | dict.fromkeys(plant(0), 1.0))
-    for one in found.values():  # what a contact in the sweeps does not spoil is kept, and right
+    for one in found.values():  # parameters that the contact does not affect are correct
         for name in set(one.names) & {"torque_gain", "motor_inertia", "motor_coulomb", "tendon_stiffness"}:
             assert abs(one.fit.values[name] - real[name]) < 2.0 * one.fit.half_widths[name], name
 

@@ -57,7 +57,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     assert light.name == "right_flexor"
     assert light.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
     assert found.gains.motion.force_N < 0.5 * both.gains.motion.force_N
-    # Without forces of their own both tendons have that of the heavy digit.
+    # Without separate forces both tendons have the force of the heavy digit.
     shared = found.gains.model_copy(update={"tendon": ()})
     assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * found_stiffness(model, found.gains)
     same = model_with_gains(model, found.as_weights())

@@ -66,7 +66,7 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
     assert per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
-    assert len(integral) >= 1  # a newton of integral is a newton of force, which a force at its limit is not
+    assert len(integral) >= 1  # the integral acts with gain 1, unless the force is at its limit
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).enough
 
 
@@ -140,7 +140,7 @@ def test_written_design_is_stable(hand: str, seed: int) -> None:
     try:
         found = design_gains(model, plants, Proof(model.hand, factors, plants, seed))
     except ValueError:
-        return  # nothing is written
+        return  # no design is written
     after = judged_stable(model, found, seed)
     assert Proof(model.hand, factors, plants, seed + 100)(after)
 

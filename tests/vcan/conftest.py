@@ -40,7 +40,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     if item.path.is_relative_to(INSIDE):
         item.add_marker("vcan")
         if not REPORTS_FILE:
-            item.add_marker(pytest.mark.timeout(0), append=False)  # here the first one waits for the whole guest
+            item.add_marker(pytest.mark.timeout(0), append=False)  # the first test waits for the whole guest
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -114,7 +114,7 @@ def _native(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> 
         for line in _lines(process, time.monotonic() + timeout_s):
             report_line(line)
         status = process.wait(timeout=10)
-        return status if status >= 0 else 128 - status  # as a shell tells of a signal
+        return status if status >= 0 else 128 - status  # a shell reports a signal in this way
     except TimeoutError:
         return TIMED_OUT
     finally:

@@ -19,7 +19,7 @@ SIZE = "1600x900"
 
 def main() -> None:
     """Open a log as the verb does, and end with the first picture."""
-    os.environ.setdefault("RUST_LOG", "error")  # as the verb does
+    os.environ.setdefault("RUST_LOG", "error")  # handctl view sets this as well
     from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
     from handctl.view.browse import browse_log
@@ -51,7 +51,7 @@ def _look(seen: threading.Event) -> None:
 def _viewer() -> psutil.Process:
     while True:
         for child in psutil.Process().children():
-            with suppress(psutil.Error):  # one that came and went
+            with suppress(psutil.Error):  # the process has ended meanwhile
                 if "--headless" in child.cmdline():
                     return child
         time.sleep(0.01)

@@ -61,7 +61,7 @@ def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.
         assert end_ns in [line.end for line in shown.timelines if line.name == TIMELINE]
 
 
-def ten_minutes(path: Path) -> None:
+def write_ten_minute_log(path: Path) -> None:
     """Write a log of ten minutes at 500 Hz that repeats five seconds."""
     import synthetic
 
@@ -77,10 +77,10 @@ def ten_minutes(path: Path) -> None:
 @pytest.mark.timeout(1200)
 @pytest.mark.usefixtures("vulkan")
 def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Path) -> None:
-    ten_minutes(tmp_path / "ten.mcap")
+    write_ten_minute_log(tmp_path / "ten.mcap")
     command = [sys.executable, str(Path(__file__).with_name("first_picture.py")), str(tmp_path / "ten.mcap")]
     looks = []
-    for _ in range(3):  # the first compiles what it imports, and the disk still writes the log
+    for _ in range(3):  # the first run compiles its imports while the log is still written
         ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
         looks.append(json.loads(ran.stdout))
     assert all(one["png_bytes"] > 50_000 for one in looks)

@@ -28,7 +28,7 @@ def url_of(follower: "subprocess.Popen[bytes]") -> str:
     end = time.monotonic() + WAIT_S
     while time.monotonic() < end:
         assert follower.poll() is None, f"the follower ended with {follower.returncode}"
-        with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child that came and went meanwhile
+        with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child that has ended meanwhile
             for child in psutil.Process(follower.pid).children():
                 for one in child.net_connections():
                     if one.status == psutil.CONN_LISTEN:

@@ -39,7 +39,7 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(seed: int, jamia_pat
     shown, expected = entities(chunks), entities(log_chunks(jamia_path, TopicConverters(run), "whole"))
     assert shown.keys() == expected.keys()
     for name in shown.keys() - {"/tension/limit"}:
-        if name == "/tf_static":  # said once, and again in a part that begins at the same instant
+        if name == "/tf_static":  # sent once, and again in a part that begins at the same time
             assert set(map(repr, shown[name].rows)) == set(map(repr, expected[name].rows))
             continue
         np.testing.assert_array_equal(shown[name].times, expected[name].times, err_msg=name)

@@ -53,7 +53,8 @@ def main() -> int:
     """Draw all figures, or some of them. Return the exit code."""
     parser = argparse.ArgumentParser(description="Draw the figures of README and site, and write the demo's numbers.")
     parser.add_argument("names", nargs="*", metavar="NAME",
-                        help=f"{', '.join(NAMES)} (default: not {', '.join(SLOW)}; report needs Chromium)")  # fmt: skip
+                        help=f"{', '.join(NAMES)} "
+                             f"(default: all but {', '.join(SLOW)}; report needs Chromium)")  # fmt: skip
     parser.add_argument("--keep", action="store_true", help="use the demo's run in build/figures if it is there")
     args = parser.parse_args()
     if unknown := set(args.names) - set(NAMES):

@@ -22,7 +22,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
-from handctl.replay.drive_again import active_interval, playback_program
+from handctl.replay.motion_replay import active_interval, playback_program
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.simulate import Simulation, Simulator
 from tools.figures.style import SETTINGS

@@ -182,7 +182,7 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
-        # Numbers of the hand file come first.
+        # Endpoint numbers of the hand file replace default endpoints with the same number.
         defaults = {number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()}
         self.endpoints = defaults | self.endpoints
         self.legacy = options.get("firmware") == "0.5"

@@ -50,4 +50,4 @@ class Heartbeat:
         with closing(RequestSender(self._bus)) as sender, suppress(OSError):
             while not self._ended.wait(self._period_s):
                 if self._watchdog_s is None or time.monotonic() - self._used_s <= self._watchdog_s:
-                    sender.send(self._data)  # into a full mailbox it fails, and the next one counts
+                    sender.send(self._data)  # a full mailbox refuses it: the next message renews the lease

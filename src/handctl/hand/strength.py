@@ -59,9 +59,9 @@ def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
     right = largest_force(strength)
     factor = strength / peak
     return (
-        f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway, a factor of {factor:.2f} to the "
-        f"{strength:g} N that break it; limit the drive to {right:.0f} N = {right * spool:.3g} N m "
-        f"for {STRENGTH_MARGIN:g}"
+        f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway. The strength of {strength:g} N is "
+        f"{factor:.2f} times this tension; expected a factor of {STRENGTH_MARGIN:g}: "
+        f"limit the drive to {right:.0f} N = {right * spool:.3g} N m"
     )
 
 

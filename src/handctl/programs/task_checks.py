@@ -82,7 +82,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
                     distance = f"{digit} may have {travel:g} deg to go, at {FOLLOW_SPEED_DEG_S:g} deg/s"
                     expected = f"at least {min_duration:g} s: {distance}"
                     raise ConfigError(f"{phase.duration_s:g}", f"{where}: phase[{i}].duration_s", expected)
-            touches = isinstance(phase, Close)  # it may stop anywhere on the way
+            touches = isinstance(phase, Close)  # a close phase may stop at any angle
             ends = (np.minimum(low, from_low), np.maximum(high, from_high)) if touches else (from_low, from_high)
             spans[digit] = ends
 

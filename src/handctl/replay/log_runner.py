@@ -174,7 +174,7 @@ class LogRunner:
         try:
             was = restore_state(self.controller.layout, self.snapshots[logged.tick_in.k])
         except ValueError:
-            return None  # of a version whose states have other fields
+            return None  # the state of another version has other fields
         return state_difference(self.log.header, logged, was, state)
 
 

@@ -193,7 +193,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     middles = [(c.name, int(np.searchsorted(log.k, (c.k + end) // 2))) for c, end in zip(changes, ends, strict=True)]
     inside = [
         (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
-    ]  # of ticks in no order, too
+    ]  # the ticks may be unordered
     return [(name, i) for name, i in inside if log.mode[i] == int(Mode.ACTIVE)][: 2 * PER_ROW]
 
 

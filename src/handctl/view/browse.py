@@ -53,7 +53,7 @@ def browse_log(
     with launched_viewer(["--expect-data-soon", *arguments], environment) as launch:
         from handctl.view.feed import (
             run_parts,
-        )  # it imports Rerun, while the viewer starts on another core
+        )  # the import of Rerun overlaps the start of the viewer
 
         parts = run_parts(path, run, FIRST_NS, scan)
         first = list(islice(parts, 2))
@@ -74,6 +74,6 @@ def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> No
     try:
         rr.send_chunks(takewhile(lambda _: running.process.poll() is None, chunks), recording=stream)
     finally:
-        with suppress(RuntimeError):  # it was closed meanwhile
+        with suppress(RuntimeError):  # the viewer was closed meanwhile
             stream.flush(timeout_sec=FLUSH_S)
         stream.disconnect()

@@ -58,7 +58,7 @@ def main() -> int:
 
         follow(log, arguments, stop)
     except HandctlError as error:
-        print(f"handctl view: {error}", file=sys.stderr)  # printable, as every HandctlError
+        print(f"handctl view: {error}", file=sys.stderr)  # every HandctlError is printable
         return 1
     return 0
 

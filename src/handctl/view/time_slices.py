@@ -43,7 +43,7 @@ def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> It
         for group in _group_chunks(head.first, rest, first_ns) or [[]]:
             first = rest.index(group[0]) if group else 0
             for chunk in group:
-                file.content(chunk)  # its checksum: Rerun would show what is damaged
+                file.content(chunk)  # checks the checksum: Rerun would show damaged data
             # Every part begins with the head of the file and the first chunk: the definitions of
             # all
             # topics.

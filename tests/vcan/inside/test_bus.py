@@ -107,7 +107,7 @@ def test_every_frame_that_was_not_read_in_time_is_counted(peer: Bus) -> None:
         received = 0
         while frames := peer.drain():
             received += len(frames)
-        flood.send(CLASSICAL.pack(0x7FF, 0, b""))  # the kernel tells its count with the next frame that fits
+        flood.send(CLASSICAL.pack(0x7FF, 0, b""))  # the kernel reports its count with the next frame that fits
         received += len(drain_bus(peer, 1))
     dropped = sum(number for kind, _, number in peer.take_events() if kind == "dropped")
     assert 0 < received < sent

@@ -88,7 +88,7 @@ class Hand:
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
         self.states = [drive.initial() for drive in self.drives]
         self.k = 0
-        prepare()  # as a controller does: else the first command compiles, and watchdogs do not wait
+        prepare()  # compile first, as a controller does: watchdogs would fire
         self.clock.start()
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> None:

@@ -288,7 +288,7 @@ def _write_schema(args: argparse.Namespace) -> int:
 
 def _convert_file(args: argparse.Namespace) -> int:
     """Convert a hand file of schema 1 to schema 2, and write the result."""
-    from handctl.hand.file.convert import convert_to_schema_2  # tomlkit is for this verb alone
+    from handctl.hand.file.convert import convert_to_schema_2  # only this verb needs tomlkit
 
     hand = load_hand(args.old)
     text = hand_path(args.old).read_text("utf-8")

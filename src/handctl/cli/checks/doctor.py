@@ -75,7 +75,7 @@ def _extras() -> Finding:
         f"optional packages; not installed: {', '.join(missing) or 'none'}",
         True,
         "",
-    )  # a controller needs none
+    )  # the controller needs no extra
 
 
 def _granted_priority() -> Priority:

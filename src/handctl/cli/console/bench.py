@@ -68,7 +68,7 @@ def _option(word: str) -> dict[str, Any]:
     try:
         return parse_toml(word, "--option")
     except ConfigError as error:
-        if BARE_TEXT.fullmatch(value) and not value.isdecimal():  # digits that TOML refuses are too many
+        if BARE_TEXT.fullmatch(value) and not value.isdecimal():  # TOML refuses numbers with too many digits
             return parse_toml(quoted, "--option")
         right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
         raise ConfigError(f"{word}: {error.what}", "--option", right) from None

@@ -9,7 +9,7 @@ from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.log.read.reader import RunLog
 from handctl.replay.compare import check_same_hand, difference_lines
-from handctl.replay.drive_again import (
+from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
     count_missing_ticks,

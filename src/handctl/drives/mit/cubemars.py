@@ -76,7 +76,8 @@ UNVERIFIED_GUARDS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
     "has no torque limit below its model's full scale; torque_max_N_m is this host's alone",
     "does not report whether it is enabled; "
-    f"an answer to disable with at most {MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque counts as disabled",
+    f"counts as disabled if its answer to the disable command reports at most "
+    f"{MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque",
     "ranges cannot be read back; motor_type must be right",
     "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",
 )
@@ -274,7 +275,7 @@ class CubemarsDrive:
             return state
         if progress.command_sent == ENABLE:
             if progress.answers >= ANSWERS_REQUIRED:
-                return state  # as before: more answers say nothing new
+                return state  # enough answers: further ones change nothing
             done = state.phase != FAULT and progress.answers + 1 >= ANSWERS_REQUIRED
             return state._replace(
                 phase=ENABLED if done else state.phase, private=progress._replace(answers=progress.answers + 1)

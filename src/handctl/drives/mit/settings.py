@@ -4,7 +4,7 @@ from handctl.drives import readback
 from handctl.drives.mit import codec
 from handctl.drives.readback import Cursor
 
-SERIAL_TRIES = 3
+SERIAL_NUMBER_TRIES = 3
 """Number of requests for the serial number. Not every motor has this register."""
 WRITES = 1
 """Number of writes per register. A register that is still wrong after one write refuses the value."""
@@ -60,7 +60,7 @@ def next_serial_request(cursor: Cursor, node_id: int, t_ns: int) -> tuple[Cursor
         the new cursor, the payload on BROADCAST_ID (empty while an answer is awaited), and True if the
         motor does not answer.
     """
-    cursor, send, unanswered = readback.request_setting(cursor, "serial number", t_ns, SERIAL_TRIES)
+    cursor, send, unanswered = readback.request_setting(cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES)
     return cursor, codec.register_request(node_id, codec.READ, codec.SERIAL) if send else b"", bool(unanswered)
 
 

@@ -20,7 +20,7 @@ from handctl.drives.moteus.progress import (
     CAUSES,
     CLEAR_TRIES,
     MISMATCH,
-    SERIAL_TRIES,
+    SERIAL_NUMBER_TRIES,
     SILENCE_NS,
     MoteusProgress,
     apply_mode,
@@ -336,7 +336,7 @@ class MoteusDrive:
         if progress.cursor.step >= len(self.required):
             return self._request_serial(state, progress, t_ns)
         setting = self.required[progress.cursor.step]
-        if setting.register and progress.cursor.writing:  # has no answer of its own
+        if setting.register and progress.cursor.writing:  # a write has no separate answer
             limits = self._frame_to_drive(codec.limits_request(self.torque_limit, self.timeout_s))
             return state._replace(private=progress._replace(cursor=progress.cursor.after_write())), (limits,)
         if progress.channel.awaits(t_ns):
@@ -367,7 +367,7 @@ class MoteusDrive:
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request the serial number a few times, then continue without it."""
-        cursor, send, unanswered = readback.request_setting(progress.cursor, "serial number", t_ns, SERIAL_TRIES)
+        cursor, send, unanswered = readback.request_setting(progress.cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES)
         updated = state._replace(private=progress._replace(cursor=cursor))
         if unanswered:
             return _ready_state(updated, progress, t_ns, 0), ()

@@ -23,7 +23,7 @@ CLEAR_TRIES = 3
 """Number of feedback frames that may still show an error after the stop command that clears it."""
 SILENCE_NS = 250_000_000
 """Time without a frame after which the drive may have lost power and its settings [ns]."""
-SERIAL_TRIES = 3
+SERIAL_NUMBER_TRIES = 3
 """Number of requests for the serial number. Safety does not depend on the serial number."""
 
 

@@ -23,7 +23,7 @@ from handctl.drives.odrive.progress import (
     HEARTBEATS_MISSED,
     MISMATCH,
     REPEAT_NS,
-    SERIAL_TRIES,
+    SERIAL_NUMBER_TRIES,
     TEMPERATURE_NS,
     VERSION_TRIES,
     OdriveProgress,
@@ -254,7 +254,7 @@ class OdriveDrive:
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")
-        return state._replace(private=progress_of(state)._replace(serial=serial, serial_requests=SERIAL_TRIES))
+        return state._replace(private=progress_of(state)._replace(serial=serial, serial_requests=SERIAL_NUMBER_TRIES))
 
     def _on_setting(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after a TxSdo during configuration."""
@@ -340,7 +340,7 @@ class OdriveDrive:
             return state._replace(error_text=text), (self._state(codec.IDLE),)
         if not progress.version:
             return self._ask_version(state, progress, t_ns)
-        if progress.serial_requests < SERIAL_TRIES and not self.firmware_05:
+        if progress.serial_requests < SERIAL_NUMBER_TRIES and not self.firmware_05:
             return self._ask_serial(state, progress, t_ns)
         if progress.cursor.step < len(self.settings):
             return self._next_setting(state, progress, t_ns)

@@ -27,7 +27,7 @@ TEMPERATURE_NS = 200_000_000
 # Requests for the version, heartbeats that may still carry a cleared error, requests for the serial.
 VERSION_TRIES = 10
 CLEAR_TRIES = 3
-SERIAL_TRIES = 3
+SERIAL_NUMBER_TRIES = 3
 ENABLE_COMMANDS = 5
 """Number of enable commands without success after which the drive is in fault."""
 HEARTBEATS_MISSED = 3.5
@@ -42,7 +42,7 @@ class OdriveProgress(NamedTuple):
     Attributes:
         version: True if the protocol version is the supported one.
         serial: serial number, 0 if unknown.
-        serial_requests: number of requests for the serial number. ``SERIAL_TRIES`` means that the
+        serial_requests: number of requests for the serial number. ``SERIAL_NUMBER_TRIES`` means that the
             drive has answered or that no more requests are sent.
         cursor: position in the list of endpoints to read back.
         configured: True if mode and limits were sent.

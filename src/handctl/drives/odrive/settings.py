@@ -95,7 +95,7 @@ def next_request(cursor: Cursor, settings: tuple[Setting, ...], t_ns: int) -> tu
     The payload is empty while the drive has not answered. The problem is empty if nothing is wrong.
     """
     setting = settings[cursor.step]
-    if cursor.writing:  # has no answer
+    if cursor.writing:  # a write has no answer
         return cursor.after_write(), codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw), ""
     cursor, send, problem = readback.request_setting(cursor, f"endpoint {setting.endpoint} ({setting.name})", t_ns)
     return cursor, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem

@@ -59,7 +59,8 @@ UNVERIFIED_GUARDS = (
     "watchdog: canTimeout cannot be read in MIT mode; set and save it in the private protocol, its default is off",
     "torque limit: limit_torque cannot be read in MIT mode; torque_max_N_m is this host's alone",
     "does not report whether it is enabled; "
-    f"an answer to stop with at most {MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque counts as disabled",
+    f"counts as disabled if its answer to the stop command reports at most "
+    f"{MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque",
     "ranges cannot be read back; motor_type must be right",
 )
 """Guards that handctl cannot verify, one line each."""

@@ -154,7 +154,7 @@ class ModelDigit:
         carrier: digit whose last link carries this one, None for the palm.
         joints: names of its joints in the description.
         position: of the first joint in the frame of the carrier (3,) [m].
-        rotation: of the first frame in the frame of the carrier (3, 3).
+        rotation: from the first frame to the frame of the carrier (3, 3).
         turns: rotation of each further frame in the frame before (n - 1, 3, 3).
         lengths: length of each link (n,) [m].
         axes: axis of each joint (n, 3).

@@ -159,7 +159,7 @@ def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
     for request in tick.tick_in.requests:
-        if not is_routine(request):  # targets come hundreds of times a second, with a topic of their own
+        if not is_routine(request):  # streamed targets have their own topic
             yield "info", "request", request
     for event in tick.events:
         yield event.level, event.name, f"{event.where}: {event.text}" if event.where else event.text

@@ -216,9 +216,9 @@ def join_to_open_loop(P: System, K: System) -> System:
     y = len(P.C)
     A = np.zeros((p + y + n, p + y + n))
     A[:p, :p] = P.A
-    A[p : p + y, :p] = P.C  # the samples that the next tick acts on
+    A[p : p + y, :p] = P.C  # the next tick uses these samples
     A[p + y :, p : p + y] = K.B
-    A[p + y :, p + y :] = K.A  # the filter hears of the force that its own law commands
+    A[p + y :, p + y :] = K.A  # the filter uses the commanded force
     B = np.vstack([P.B, np.zeros((y + n, 1))])
     C = np.hstack([np.zeros((1, p)), K.D, K.C])
     return System(A, B, -C, np.zeros((1, 1)), P.period)

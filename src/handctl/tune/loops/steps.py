@@ -236,7 +236,7 @@ class Proof:
             result = simulate_swing(self.hand, model, factors, seed)
             if result.at_rest:
                 continue
-            # a swing that is judged at all is compared with the plant's own, which costs another simulation
+            # a swing of the loop is compared with the swing of the plant alone, in another simulation
             ringing = is_ringing(model, linear_factors(factors))
             if result.failure or ringing or not result.beside(self._plant_swing(model, name, factors, seed)).at_rest:
                 return f": {name} {result}{' of a loop that rings' if ringing else ''}"

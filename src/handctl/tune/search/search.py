@@ -289,7 +289,7 @@ def _report_score(study: Any, trial: Any, score: Score) -> None:
     """Report a score to the study."""
     # The attribute comes before the state, so a finished trial always has its score.
     trial.set_user_attr("score", asdict(score))
-    if not trial.constraints:  # it has them if an interruption came between the next line and this one
+    if not trial.constraints:  # present if an earlier call was interrupted before tell
         trial.set_constraint("margins", score.shortfall)
     study.tell(trial, list(score.objectives))
 

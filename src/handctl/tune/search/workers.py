@@ -119,7 +119,7 @@ class ProcessPool:
             channel.write(json.dumps(job).encode() + b"\n")
             channel.flush()
         except BrokenPipeError:
-            return  # its output has ended too, which is found when it is read
+            return  # the reader of the output detects the end of the worker
 
     def _replace(self, slot: int) -> None:
         """Replace a worker."""
