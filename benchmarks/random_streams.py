@@ -50,7 +50,7 @@ def run(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
     Args:
         env: environment of the hand.
         kind: name of the random targets.
-        seed: of the simulated hand and of the targets.
+        seed: seed of the simulated hand and of the targets.
 
     Returns:
         The fault, empty if there was none, and the largest true tension [N].

@@ -72,7 +72,7 @@ class BadClient:
 
         Args:
             hand: client of the hand.
-            stream: its open stream.
+            stream: open stream of the client.
             scale: time of the hand per wall time.
         """
         self.hand = hand

@@ -494,7 +494,7 @@ def _curve(raw: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve
 
     Args:
         raw: ``polynomial_m``, or ``angle_deg`` and ``arm_m``.
-        limits: of the joint [rad].
+        limits: limits of the joint [rad].
     """
     powers = raw.get("polynomial_m")
     if powers is None:

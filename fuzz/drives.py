@@ -9,7 +9,7 @@ class Fuzzed(NamedTuple):
     """A drive to be fuzzed.
 
     Attributes:
-        protocol: its name.
+        protocol: name of the protocol.
         options: more of them, as lines of a hand file.
         without: options that this drive does not have, by how their names begin.
     """

@@ -61,7 +61,7 @@ def mutated(content: Mapping[str, Any], paths: list[Path], source: Source, max_c
     """Return a copy with some values changed, removed, renamed or repeated.
 
     Args:
-        content: as parsed from TOML. It stays unchanged.
+        content: parsed TOML file. It stays unchanged.
         paths: ``places`` of the content.
         source: bytes that select the changes.
         max_changes: largest number of changes.

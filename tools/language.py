@@ -55,8 +55,8 @@ class Tally:
     """Counts of one folder.
 
     Attributes:
-        counts: of each key of ``PER``.
-        totals: of each quantity that counts are divided by.
+        counts: count of each key of ``PER``.
+        totals: total of each quantity that counts are divided by.
         places: ``file:line: finding`` of each count.
     """
 

@@ -21,7 +21,7 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
     """Return the Markdown section of a result of ``tracking.measure``.
 
     Args:
-        result: of ``tracking.measure``.
+        result: result of ``tracking.measure``.
         named: laws PD alone, springs and gravity, best, misprinted.
     """
     parts = ["## Tracking: benefit of each part of the control law", ""]

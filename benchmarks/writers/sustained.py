@@ -38,8 +38,8 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
     """Run for some time with the recorder, and half as long before and after without the recorder.
 
     Args:
-        path: of the new log file.
-        seconds: with the recorder [s].
+        path: path of the new log file.
+        seconds: duration of the loop with the recorder [s].
 
     Returns:
         content of the log, dropped ticks, fraction of one core for the recorder, lateness of the loop [us].

@@ -24,7 +24,7 @@ class MissingExtraError(ConfigError):
     """An optional package that is not installed.
 
     Args:
-        user: what needs the package, e.g. a verb.
+        user: verb or function that needs the package.
         package: import name.
     """
 
@@ -36,7 +36,7 @@ def require_extra(user: str, *packages: str) -> None:
     """Check that optional packages are installed, without importing them.
 
     Args:
-        user: what needs the packages, e.g. a verb.
+        user: verb or function that needs the packages.
         packages: import names, keys of ``EXTRAS``.
 
     Raises:
@@ -66,7 +66,7 @@ def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:
     """Translate a failed import.
 
     Args:
-        user: what needs the package, e.g. a verb.
+        user: verb or function that needs the package.
         error: the failed import.
 
     Returns:

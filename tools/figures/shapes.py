@@ -44,11 +44,11 @@ def arrow(
     """Draw an arrow along points.
 
     Args:
-        axes: of the diagram.
+        axes: axes of the diagram.
         points: corners of the line, with the tip at the last one.
         text: label.
         at: middle of the label. The default is just above the middle of the longest part.
-        colour: of line and label.
+        colour: colour of line and label.
         both: True for a tip at both ends.
     """
     xs, ys = zip(*points[:-1], strict=True) if len(points) > 2 else ((), ())

@@ -122,7 +122,7 @@ def hand_from_content(content: Mapping[str, Any], source: str) -> Hand:
         source: name of the content in messages.
 
     Raises:
-        ConfigError: as ``load_hand``.
+        ConfigError: for the same reasons as in ``load_hand``.
     """
     hand, mistakes = validate_content(content)
     if hand is None:

@@ -36,7 +36,7 @@ class LinkMesh:
         key: key path of the mesh in the resolved hand file.
         file: path of the file as in the hand file.
         scale: factors from the file's unit to metres, for x, y, z.
-        position: of the mesh's origin [m].
+        position: position of the mesh's origin [m].
         rpy_deg: roll, pitch, yaw of the mesh.
     """
 

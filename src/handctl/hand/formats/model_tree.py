@@ -45,8 +45,8 @@ class ModelMesh:
     Attributes:
         file: path of the file.
         scale: factors from the unit of the file to metres (3,).
-        position: of its origin in the frame of the link (3,) [m].
-        rotation: to the frame of the link (3, 3).
+        position: origin of the mesh in the frame of the link (3,) [m].
+        rotation: rotation from the mesh to the frame of the link (3, 3).
     """
 
     file: str
@@ -77,17 +77,17 @@ class ModelLink:
         name: name of the link.
         joint: name of the joint.
         parent: position of the parent among the links, -1 for the root.
-        position: (3,) in the frame of the parent [m].
-        rotation: (3, 3) to the frame of the parent, at angle zero.
-        axis: (3,) in the frame of the link.
+        position: origin of the link in the frame of the parent (3,) [m].
+        rotation: rotation to the frame of the parent at angle zero (3, 3).
+        axis: axis of the joint in the frame of the link (3,).
         range: smallest and largest angle [rad], None without limits.
-        damping: of the joint [N m s/rad].
+        damping: damping of the joint [N m s/rad].
         armature: additional inertia of the joint [kg m2].
-        stiffness: of the joint's spring [N m/rad].
+        stiffness: stiffness of the joint's spring [N m/rad].
         rest: angle of the free spring [rad].
-        mass: [kg].
+        mass: mass of the link [kg].
         com: centre of mass (3,) [m].
-        inertia: (3, 3) about the centre of mass [kg m2].
+        inertia: inertia about the centre of mass (3, 3) [kg m2].
         frames: named frames on the link, (3,) each [m].
         points: corners of boxes around its shapes, (n, 3) [m].
         radius: half width of its shapes [m], None without shapes.
@@ -153,8 +153,8 @@ class ModelDigit:
         name: name of the digit.
         carrier: digit whose last link carries this one, None for the palm.
         joints: names of its joints in the description.
-        position: of the first joint in the frame of the carrier (3,) [m].
-        rotation: from the first frame to the frame of the carrier (3, 3).
+        position: position of the first joint in the frame of the carrier (3,) [m].
+        rotation: rotation from the frame of the first link to the frame of the carrier (3, 3).
         turns: rotation of each further frame in the frame before (n - 1, 3, 3).
         lengths: length of each link (n,) [m].
         axes: axis of each joint (n, 3).

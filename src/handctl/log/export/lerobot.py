@@ -82,7 +82,7 @@ def export_lerobot(
     """Write the dataset into a new folder, and return the number of frames.
 
     Args:
-        logs: at least one log. All are of one hand at one control rate.
+        logs: one or more logs of one hand at one control rate.
         path: folder to make.
         fps: frame rate of the dataset, at most the control rate [Hz]. None: the control rate.
         cameras: cameras with a video of each log.

@@ -78,7 +78,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
     Args:
         hand: description.
-        name: of the digit.
+        name: name of the digit.
     """
     digit = DigitModel.of(hand, name)
     low, high = sweep_range(digit)

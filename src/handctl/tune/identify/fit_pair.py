@@ -207,7 +207,7 @@ def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
 
     Args:
         net: net tension at the joint [N].
-        pretension: of both tendons [N].
+        pretension: pretension of both tendons [N].
         passed: fraction of the first tendon's tension behind the pulleys.
 
     Source: `core.estimation.spool_pair`, for arrays.
