@@ -88,7 +88,7 @@ def in_guest(floor: str, ticks: int) -> dict:
     sys.path.insert(0, str(HERE.parent))
     from tests.vcan import uml
 
-    kind, reason = uml.means()
+    kind, reason = uml.vcan_access()
     if not kind:
         return {"skipped": reason}
     output: list[str] = []

@@ -152,7 +152,7 @@ def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
     """Tabulate by regime the RMSE of each estimator [N] with its spread over the seeds, ratios, NIS, whiteness."""
     table = {}
     for regime in REGIMES:
-        seeds = [_means(sums[regime]) for sums in results if regime in sums]
+        seeds = [_means_of_quantities(sums[regime]) for sums in results if regime in sums]
         if not seeds:
             continue
         mean = {name: float(np.sqrt(np.mean([row[name] for row in seeds]))) for name in seeds[0] if "lag" not in name}
@@ -175,7 +175,7 @@ def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
     return table
 
 
-def _means(sums: dict[str, list[float]]) -> dict[str, float]:
+def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
     """Return the mean of each quantity, from [sum, count, sum, count, ..]."""
     return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fuzz.mutate import Source, mutated, places
+from fuzz.mutate import Source, mutated, paths_of_values
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, GainsFile, Provenance
 from handctl.core.identified import identified_hand
@@ -45,7 +45,7 @@ def used(hand: Hand) -> None:
 def hand(folder: Path) -> Target:
     """Return the target for a hand with up to four changes."""
     contents = [hand_content(name) for name in packaged_hands()]
-    paths = [list(places(content)) for content in contents]
+    paths = [list(paths_of_values(content)) for content in contents]
 
     def target(data: bytes) -> bool:
         source = Source(data)
@@ -91,7 +91,7 @@ AS_TEXT = 32
 
 def _document(path: Path, contents: list[Content], use: Callable[[Content], object]) -> Target:
     """Return the target for a document: any bytes, or a valid one with up to four changes, in memory or as text."""
-    paths = [list(places(content)) for content in contents]
+    paths = [list(paths_of_values(content)) for content in contents]
     noise = _text(path, lambda file: use(read_toml(file)))
 
     def target(data: bytes) -> bool:

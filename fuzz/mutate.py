@@ -12,12 +12,12 @@ OPERATIONS = 8
 Path = tuple[Any, ...]
 
 
-def places(node: Any, path: Path = ()) -> Iterator[Path]:
+def paths_of_values(node: Any, path: Path = ()) -> Iterator[Path]:
     """Yield the paths of all values below a node, including tables and lists."""
     entries = node.items() if isinstance(node, Mapping) else enumerate(node) if isinstance(node, list) else ()
     for key, value in entries:
         yield (*path, key)
-        yield from places(value, (*path, key))
+        yield from paths_of_values(value, (*path, key))
 
 
 class Source:
@@ -62,7 +62,7 @@ def mutated(content: Mapping[str, Any], paths: list[Path], source: Source, max_c
 
     Args:
         content: parsed TOML file. It stays unchanged.
-        paths: ``places`` of the content.
+        paths: ``paths_of_values`` of the content.
         source: bytes that select the changes.
         max_changes: largest number of changes.
     """

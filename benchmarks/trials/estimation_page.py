@@ -108,7 +108,7 @@ def _conclusion(result: dict) -> str:
         "sample, "
         f"although the two belong to different instants. The ratios are: {', '.join(strict)}. "
     )
-    raw = "\n".join(f"- {_against_raw(result, ratio)}" for ratio in WHEN)
+    raw = "\n".join(f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in WHEN)
     heading = "Comparison of the filter with the load cell alone:"
     parts = (text.strip(), heading, raw, _otherwise_wrong(result), *EXPLANATION)
     return "\n\n".join(part for part in parts if part)
@@ -141,7 +141,7 @@ WHEN = {
 }
 
 
-def _against_raw(result: dict, ratio: str) -> str:
+def _regimes_worse_than_raw(result: dict, ratio: str) -> str:
     """List the regimes in which the raw cell is better, for the plant as known and for wrong stiffness."""
     rows = [
         (row[ratio], f"{hand} {regime}, {plant}")

@@ -113,10 +113,10 @@ def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
     )
     if not np.isfinite(gain):
         gained = "With springs and gravity alone, no run completes the motions"
-    return f"{_against(ratio)}. {gained}"
+    return f"{_comparison_with_pd(ratio)}. {gained}"
 
 
-def _against(ratio: float) -> str:
+def _comparison_with_pd(ratio: float) -> str:
     """Compare the whole law with PD."""
     if not np.isfinite(ratio):
         return "The motions follow each other, from slow to fast. With PD alone, no run completes the fast motion"

@@ -35,7 +35,7 @@ def test_missing_interface_finding_has_the_set_up_command(capsys, words, said):
     assert said in capsys.readouterr().out
 
 
-def test_an_odrive_of_firmware_05_is_there(capsys):
+def test_an_odrive_with_firmware_05_is_found(capsys):
     """Regression: its version was requested, which it does not have, so a healthy drive was reported as missing."""
     with drives("local:d", "odrive", "--ids", "3", "--firmware", "0.5"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 0

@@ -91,7 +91,7 @@ def reimport_packaged_hand(form: str, name: str) -> Hand:
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", packaged_hands())
-def test_an_exported_hand_comes_back(place: Path, name: str, form: str) -> None:
+def test_an_exported_hand_is_imported_unchanged(place: Path, name: str, form: str) -> None:
     hand, original = reimport_packaged_hand(form, name), load_hand(name)
     assert hand.digit_names == original.digit_names
     for digit, known in zip(hand.digit, original.digit, strict=True):
@@ -116,7 +116,7 @@ def test_an_exported_hand_comes_back(place: Path, name: str, form: str) -> None:
         assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
 
-def test_moment_arms_and_springs_of_a_model_come_with_it(place: Path) -> None:
+def test_moment_arms_and_springs_of_a_model_are_imported(place: Path) -> None:
     assert main(["config", "export", "--mjcf", "--hand", "n_plus_1", "--output", "hand.xml"]) == 0
     import_description("--mjcf", "hand.xml")
     content = hand_content("mine.toml")
@@ -171,7 +171,7 @@ def test_no_run_begins_with_a_missing_value(place: Path, capsys: pytest.CaptureF
     assert '"TODO"; expected' in refused(capsys, "demo", "--lockstep", "--hand", "mine.toml")
 
 
-def test_what_a_description_lacks_is_asked(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_values_that_a_description_lacks_are_asked_for(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answers = itertools.chain(["each", "7", "some", "8", "90"], itertools.repeat(""))
     asked: list[str] = []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
@@ -249,7 +249,7 @@ def test_a_bad_description_is_one_line(
         (["--cells", "all"], "--cells: only for an imported hand; expected --urdf or --mjcf with it"),
     ],
 )
-def test_options_that_do_not_fit(place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
+def test_bad_options_are_refused(place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
     assert said in refused(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
 
 

@@ -119,7 +119,7 @@ def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
     assert sorted(plan.attachments) == ["mesh/t42/inner.stl", "mesh/t42/palm.stl"]
 
 
-def test_meshes_too_large_for_a_log_are_told_before_the_run(own: Path) -> None:
+def test_meshes_too_large_for_a_log_are_reported_before_the_run(own: Path) -> None:
     with (own.parent / "t42" / "outer.stl").open("r+b") as large:
         large.truncate(MAX_BYTES)
     told: list[str] = []
@@ -206,7 +206,7 @@ def write_ros_package(place: Path) -> Path:
     return Path(shutil.copy(TRIPOD, folder / "urdf"))
 
 
-def test_meshes_of_a_package_are_taken_over(
+def test_meshes_of_a_package_are_imported(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     urdf = write_ros_package(place)
@@ -249,7 +249,7 @@ def test_meshes_of_a_package_are_taken_over(
     assert not places
 
 
-def test_meshes_that_a_hand_cannot_have_are_told(
+def test_meshes_that_a_hand_cannot_have_are_reported(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     urdf = write_ros_package(place)
@@ -269,7 +269,7 @@ def test_meshes_that_a_hand_cannot_have_are_told(
     assert "_mesh" not in Path("mine.toml").read_text()
 
 
-def test_the_largest_visual_mesh_of_a_body_is_taken_over_from_a_model(
+def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_meshes(place)

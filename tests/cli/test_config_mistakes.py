@@ -140,7 +140,7 @@ def test_a_mistake_is_one_line_that_names_the_key(place: Path, capsys: pytest.Ca
     assert all("expected" in line for line in found)
 
 
-def test_all_mistakes_come_at_once(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_mistakes_are_reported_together(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cases = ("a misspelt key of a default", "a default of an unknown section", "a template that is not there")
     write_changed_jamia11(
         place, *[MISTAKES[case][:2] for case in cases], ("m2.node_id = 5", "m2.node_id = 500")
@@ -151,7 +151,7 @@ def test_all_mistakes_come_at_once(place: Path, capsys: pytest.CaptureFixture[st
         assert len([line for line in found if line.startswith(start)]) == 1, start
 
 
-def test_mistakes_of_the_files_beside_the_hand_come_too(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_of_the_other_files_are_reported_together(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_changed_jamia11(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
     (place / "task.toml").write_text(
         'schema = 1\nname = "t"\n[[phase]]\nkind = "hold"\ntension_N = 40.0\nslip_limit_N = 30.0\n'
@@ -206,7 +206,7 @@ def test_a_demo_refuses_such_an_object_too(place: Path, capsys: pytest.CaptureFi
     assert "scene cylinder:900: the object is" in capsys.readouterr().err
 
 
-def test_json_has_the_same_lines(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_check_has_the_same_mistakes_in_json(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_changed_jamia11(place, MISTAKES["one node number twice"][:2])
     assert main(["config", "check", "--json", "--hand", "mine.toml"]) == 2
     out, err = capsys.readouterr()

@@ -46,7 +46,7 @@ def test_a_good_drive_in_another_process_passes(protocol, more):
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("protocol", ["odrive", "cia402"])
-def test_a_drive_is_left_as_good_as_it_was(protocol):
+def test_conformance_leaves_no_error_in_a_drive(protocol):
     """Regression: a drive kept a latched error, and `commission` then refused the hand."""
     more = ENDPOINTS if protocol == "odrive" else []
     with drives("local:c", protocol, "--ids", "33"):
@@ -143,7 +143,7 @@ def test_drive_of_another_host_is_not_commanded(capsys):
     assert "another host is at work on this bus" in capsys.readouterr().err
 
 
-def test_a_bus_on_which_a_controller_runs_is_left_alone(capsys):
+def test_conformance_refuses_a_bus_with_a_running_controller(capsys):
     box = Mailbox("local:c")
     assert main([*WORDS, "--protocol", "mit", "--node", "2", "--yes"]) == 1
     box.close()

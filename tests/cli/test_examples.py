@@ -57,7 +57,7 @@ def test_an_example_works_in_one_terminal(terminal, words):
 
 
 @pytest.fixture
-def others(terminal):
+def start_others(terminal):
     """Start the commands of other terminals, and end them after the test."""
     children = []
 
@@ -80,16 +80,16 @@ def wait_for(terminal, command):
 
 
 @pytest.mark.realtime
-def test_examples_work_beside_a_simulator_and_a_running_hand(terminal, others, slower):
+def test_examples_work_beside_a_simulator_and_a_running_hand(terminal, start_others, slower):
     simulator, run = EXAMPLES["stop"].beside
-    others(f"{simulator} --time-scale {SCALE * slower:g}")
+    start_others(f"{simulator} --time-scale {SCALE * slower:g}")
     wait_for(terminal, "handctl fault kinds --bus local:demo")
     for words in BESIDE_A_SIMULATOR:
         if words != "fault inject":  # the injected fault would disturb the run
             paste(terminal, words)
     for words in sorted(BESIDE_A_RUN, key=lambda one: one == "stop"):  # the run ends with stop
         if words == BESIDE_A_RUN[0]:
-            others(run)
+            start_others(run)
             wait_for(terminal, "handctl gains set motion.force_N=11 --bus local:demo")  # refused until commissioned
         paste(terminal, words)
     paste(terminal, "fault inject")

@@ -66,7 +66,7 @@ def test_gains_of_another_hand_are_refused(place, capsys, verb):
     assert capsys.readouterr().err == "handctl: new.toml: is for hand 'jamia11'; expected gains for 'jamia'\n"
 
 
-def test_gains_of_the_hand_as_it_was_before_are_used_and_that_is_said(place, capsys):
+def test_gains_of_an_earlier_hand_file_are_used_and_reported(place, capsys):
     write_gains(place / "new.toml", hand="jamia", identity="1" * 64)
     assert main(["gains", "show", "--gains", "new.toml", "--json"]) == 0
     said = capsys.readouterr()
@@ -129,7 +129,7 @@ def test_a_damaged_gains_file_does_not_prevent_a_rollback(twice_changed_hand, pl
     assert output_of(capsys, "gains", "diff", "2", "present")["changed"] == {}
 
 
-def test_gains_that_no_controller_follows_from_are_not_applied(place, capsys):
+def test_gains_that_give_no_controller_are_not_applied(place, capsys):
     (place / "tiny.toml").write_text("schema = 1\n[motion]\nforce_N = 1e-9\n")
     for words in (
         ("gains", "apply", "tiny.toml"),

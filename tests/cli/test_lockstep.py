@@ -112,7 +112,7 @@ def keeps_its_promises(result):
 
 
 @pytest.mark.nightly
-def test_the_demo_keeps_its_promises(four):
+def test_the_demo_meets_its_requirements(four):
     """jamia11 is tested in tests/cli/test_seeds.py."""
     result = four[1]
     keeps_its_promises(result)
@@ -120,7 +120,7 @@ def test_the_demo_keeps_its_promises(four):
 
 
 @pytest.mark.nightly
-def test_the_demo_with_a_motor_a_joint_keeps_them_too(eleven):
+def test_the_demo_with_one_motor_per_joint_meets_its_requirements(eleven):
     result = eleven[1]
     keeps_its_promises(result)
     assert result["tension_rmse_n"] < 1.0
@@ -151,7 +151,7 @@ def test_a_report_aligns_the_log_with_the_truth_file(twins, capsys):
     assert tension in (place / "page.html").read_text()
 
 
-def test_the_log_is_whole_and_has_every_tick(twins):
+def test_the_log_is_complete_and_has_every_tick(twins):
     place, result = twins[0]
     with RunLog(place / "run.mcap") as run:
         assert not run.warning
@@ -159,7 +159,7 @@ def test_the_log_is_whole_and_has_every_tick(twins):
         assert len(run) == result["ticks"]
 
 
-def test_a_run_in_lockstep_shows_where_it_is(place, capfd):
+def test_a_lockstep_run_shows_its_progress(place, capfd):
     (place / "short.toml").write_text(SHORT)
     assert main(["demo", "--lockstep", "--task", "short.toml", "--log", "run.mcap"]) == 0
     told = capfd.readouterr().err

@@ -58,7 +58,7 @@ def test_a_truth_that_is_a_pipe_is_not_waited_for(place, capsys):
     assert "not a file" in refused(capsys, "report", str(golden), "--truth", "truth")
 
 
-def test_a_truth_of_another_time_is_refused(place, capsys):
+def test_a_truth_file_of_another_run_is_refused(place, capsys):
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     header = {"columns": ["q/index_j1"]}
     row = (10**13).to_bytes(8, "little") + bytes(8)

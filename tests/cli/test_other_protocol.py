@@ -18,7 +18,7 @@ BUS = ("--bus", "local:does-not-exist")
 
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 @pytest.mark.parametrize("hand", packaged_hands())
-def test_the_file_has_all_drives_in_the_protocol_and_goes_away(hand: str, protocol: str) -> None:
+def test_the_temporary_hand_file_has_all_drives_in_the_protocol(hand: str, protocol: str) -> None:
     args = argparse.Namespace(hand=hand, protocol=protocol)
     with hand_in_protocol(args):
         path = Path(args.hand)

@@ -91,7 +91,7 @@ def at_a_terminal(answer: str) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize(("answer", "code"), [("y", 1), ("", 2)])
-def test_at_a_terminal_it_asks_once(answer, code):
+def test_a_run_at_a_terminal_asks_once_for_consent(answer, code):
     exit_code, shown = at_a_terminal(answer)
     assert exit_code == code, shown
     assert shown.count("[y/N]") == 1

@@ -53,7 +53,7 @@ def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tu
     ],
     ids=["nothing measured", "slow controller", "slow simulator", "a stall", "what the simulator saw"],
 )
-def test_the_pace_that_is_advised_is_measured(
+def test_the_advised_pace_is_measured(
     monkeypatch: pytest.MonkeyPatch, cpu_s: float, capacity: float | None, advice: float | None, number: float
 ) -> None:
     """Regression: the advice was always 0.5. This run took 2 s for 1000 ticks at 500 Hz."""

@@ -15,7 +15,7 @@ GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
 GRASP, OTHER = str(GOLDEN / "jamia-grasp.mcap"), str(GOLDEN / "jamia11-grasp.mcap")
 
 
-def test_execute_tells_programs_what_it_found(capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_execute_reports_its_result_in_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", "execute", GRASP, "--json", "--within", "1e-9"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["ticks"] > 300
@@ -53,12 +53,12 @@ def test_gains_that_are_wrong_are_bad_input(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize("more", [["--picture", "x.png"], ["--gains", "gains.toml", "--within", "1e-9"]])
-def test_an_option_that_would_do_nothing_is_refused(more: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_option_without_effect_is_refused(more: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", "execute", GRASP, *more]) == 2
     assert "--gains" in capsys.readouterr().err
 
 
-def test_safety_names_the_reading(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_safety_names_the_reading_of_a_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     limits = tmp_path / "limits.toml"
     limits.write_text("tension_trip_N = 20\n")
     assert main(["replay", "safety", GRASP, "--limits", str(limits)]) == 0
@@ -80,7 +80,7 @@ def test_another_hand_s_log_is_refused_with_both_identities(
         assert load_hand(hand).identity[:12] in told
 
 
-def test_drive_checks_without_a_bus(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_replay_drive_has_a_dry_run_without_a_bus(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["replay", "drive", GRASP, "--bus", "local:nobody", "--dry-run"]) == 0
     assert "would drive 2." in capsys.readouterr().out
 

@@ -98,13 +98,13 @@ def test_two_drives_with_one_number_are_named(protocol):
 
 
 @pytest.mark.parametrize("kind", [1, 3, 4, 6, 0x12])
-def test_beside_another_robstride_host_it_only_listens(kind):
+def test_scan_only_listens_if_another_robstride_host_is_active(kind):
     result, _, bus = scanned(("robstride", 1), talk=[Frame(EXTENDED | kind << 24 | 0xFD01, bytes(8))])
     assert result.foreign
     assert bus.heard == []
 
 
-def test_no_question_changes_a_moteus_or_a_robstride_that_is_enabled():
+def test_scan_does_not_change_an_enabled_moteus_or_robstride():
     bench = Bench([drive_spec("moteus", 1), drive_spec("robstride", 2)])
     bench.receive(SimFrame(EXTENDED | 0x8001, bytes.fromhex("01000a022080000223000001ff")))
     bench.receive(SimFrame(EXTENDED | 3 << 24 | 0xFD02, bytes(8)))
@@ -118,13 +118,13 @@ def test_no_question_changes_a_moteus_or_a_robstride_that_is_enabled():
     assert [motor.servo.torque for motor in bench.motors] == [0.0, 0.0]
 
 
-def test_beside_another_moteus_host_it_only_listens():
+def test_scan_only_listens_if_another_moteus_host_is_active():
     result, _, bus = scanned(("moteus", 1), talk=[Frame(EXTENDED | 0x8101, b"\x11\x00")])
     assert result.foreign
     assert bus.heard == []
 
 
-def test_beside_an_odrive_nothing_is_asked_that_it_would_obey():
+def test_scan_sends_no_frame_that_an_odrive_would_obey():
     result, bench, bus = scanned(("odrive", 3), ("odrive", 48), ("mit", 1))
     assert [(node.protocol, node.node_id) for node in result.found] == [("odrive", 3), ("odrive", 48)]
     drive = result.found[0]
@@ -147,14 +147,14 @@ def test_an_enabled_drive_stays_as_it_is():
     "talk",
     [Frame(0x001, bytes(8)), Frame(0x080, b"\1"), Frame(0x7FF, bytes(8)), Frame(0x77F, b"\5"), Frame(0, b"\1\0")],
 )
-def test_beside_another_host_it_only_listens(talk):
+def test_scan_only_listens_if_another_host_is_active(talk):
     result, _, bus = scanned(("mit", 1), talk=[talk])
     assert result.foreign
     assert bus.heard == []
     assert scanned(("mit", 1), talk=[talk], force=True)[0].found
 
 
-def test_beside_another_host_no_firmware_is_invented():
+def test_scan_reports_no_firmware_if_another_host_is_active():
     """Regression: an ODrive 0.6 without a reply was reported as firmware 0.5."""
     request = Frame(3 << 5 | 0x09 | REMOTE, b"")
     result, _, bus = scanned(("odrive", 3), talk=[request])
@@ -205,7 +205,7 @@ def test_drives_that_a_scan_cannot_find_are_named(capsys):
     assert "not looked for: cubemars" in capsys.readouterr().out
 
 
-def test_the_sensor_node_of_a_hand_is_found_but_not_beside_drives_that_know_sync(tmp_path):
+def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
     beside = {"mit": True, "cia402": False}
     for protocol, seen in beside.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
@@ -218,7 +218,7 @@ def test_the_sensor_node_of_a_hand_is_found_but_not_beside_drives_that_know_sync
         assert not seen or "4 channels" in sensors[0].notes[0]
 
 
-def test_an_odrive_that_talks_by_itself_is_no_other_host():
+def test_unrequested_frames_of_an_odrive_are_no_other_host():
     result, _, _ = scanned(("odrive", 0), ("odrive", 4))
     assert result.foreign == ()
     assert [node.node_id for node in result.found] == [0, 4]

@@ -19,6 +19,6 @@ tests/runtime/test_lockstep_again.py has a second run of CiA 402 drives.
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(("hand", "protocol", "seed"), CASES if NIGHTLY else SAMPLE)
-def test_the_demo_keeps_its_promises_whatever_the_seed(hand: str, protocol: str, seed: int) -> None:
+def test_the_demo_meets_its_requirements_with_every_seed(hand: str, protocol: str, seed: int) -> None:
     figures = demo(hand, protocol, seed)
     assert not figures["why"], figures

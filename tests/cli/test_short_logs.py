@@ -32,7 +32,7 @@ def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
 
 @pytest.mark.parametrize("ticks", [slice(0, 0), slice(0, 15), slice(0, 50), slice(300, 302)], ids=str)
 @pytest.mark.filterwarnings("error")
-def test_every_verb_has_an_answer(ticks: slice, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_verb_reads_or_refuses_a_short_log(ticks: slice, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with RunLog(GRASP) as log:
         short = write(place / "short.mcap", log, ticks_of(log)[ticks])
     (place / "gains.toml").write_text("[motion]\nposition_error_m = 3e-4\n")
@@ -61,7 +61,7 @@ def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
 
 
 @pytest.mark.parametrize("what", ["far apart", "in no order"])
-def test_a_clock_that_lies_is_refused_in_one_line(what: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_inconsistent_clock_in_a_log_is_refused(what: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with RunLog(GRASP) as log:
         ticks, period_ns = ticks_of(log), log.header.period_ns
         far = ticks[:300] + [_later(tick, 10**11, period_ns) for tick in ticks[300:]]

@@ -28,7 +28,7 @@ def shell(redirected, words=VERSION, **environment):
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_no_room_for_the_output_is_one_line(unbuffered):
+def test_a_full_disk_for_the_output_is_one_line(unbuffered):
     code, _, err = shell("> /dev/full", PYTHONUNBUFFERED=unbuffered)
     assert code == 1
     assert err.startswith("handctl: ")
@@ -56,7 +56,7 @@ def test_progress_without_a_reader_does_not_end_the_verb(monkeypatch):
     told.print("the rest")
 
 
-def test_a_narrow_terminal_loses_nothing_of_a_table(monkeypatch, capsys):
+def test_a_narrow_terminal_shows_a_whole_table(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "40")
     assert main(["paper", "--quick"]) == 0
     assert "3 + 3 + 3 + 2 joints." in capsys.readouterr().out
@@ -73,7 +73,7 @@ def test_closed_streams_are_no_error(closed):
     assert (code, err) == (0, "")
 
 
-def test_what_a_terminal_cannot_show_is_escaped(place):
+def test_characters_that_a_terminal_cannot_show_are_escaped(place):
     words = (sys.executable, "-m", "handctl.cli", "log", "info", "h\u00e4nd\udcff.mcap")
     code, _, err = shell("", words, PYTHONIOENCODING="ascii")
     assert code == 2
@@ -126,7 +126,7 @@ def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(place, monkeypatch,
     assert told["end"]["reason"] == "interrupted"
 
 
-def test_a_search_that_is_interrupted_says_how_it_goes_on(monkeypatch, capsys):
+def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
     def interrupted(*words):
         os.kill(os.getpid(), signal.SIGTERM)
 
@@ -139,7 +139,7 @@ def test_a_search_that_is_interrupted_says_how_it_goes_on(monkeypatch, capsys):
 @pytest.mark.parametrize(
     "workers", [lambda: closing(ProcessPool(1)), lambda: worker_pool(1, print)], ids=["search", "paper"]
 )
-def test_the_ctrl_c_of_a_terminal_is_not_for_workers(monkeypatch, workers):
+def test_workers_ignore_the_ctrl_c_of_a_terminal(monkeypatch, workers):
     children = []
     begin = subprocess.Popen
 
@@ -174,7 +174,7 @@ sys.exit(main())
 """
 
 
-def test_a_bug_of_ours_is_shown_whole_and_has_a_code_of_its_own():
+def test_a_bug_in_handctl_is_shown_with_traceback_and_its_own_exit_code():
     ended = subprocess.run([sys.executable, "-c", BUGGY], capture_output=True, text=True)
     assert ended.returncode == 70
     assert "KeyError: 'nobody thought of this'" in ended.stderr

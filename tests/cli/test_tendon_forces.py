@@ -52,7 +52,7 @@ def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
     assert with_values(gains, values_by_key(gains), "test") == gains
 
 
-def test_a_tendon_without_a_force_of_its_own_counts_with_that_of_all() -> None:
+def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
     assert different_values(Gains(), own_force(5.0)) == {KEY: (Gains().motion.force_N, 5.0)}
     assert different_values(own_force(5.0), Gains()) == {KEY: (5.0, Gains().motion.force_N)}
     assert different_values(Gains(), own_force(Gains().motion.force_N)) == {}

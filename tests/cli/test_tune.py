@@ -36,7 +36,7 @@ def fake_search(monkeypatch):
     return trials
 
 
-def test_a_search_without_a_good_trial_is_json_too(fake_search, place, capsys):
+def test_a_search_without_a_good_trial_prints_json(fake_search, place, capsys):
     fake_search.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, 0.5)))
     assert main(["tune", "search", "--plants", "1", "--trials", "1", "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
@@ -93,7 +93,7 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, acce
     assert ("--accept-worse" in said) != accept
 
 
-def test_a_commissioning_log_that_is_there_is_no_obstacle(place):
+def test_an_existing_commissioning_log_is_accepted(place):
     from handctl.session.plan import commission_log
 
     first = commission_log(place / "run.mcap")
@@ -102,7 +102,7 @@ def test_a_commissioning_log_that_is_there_is_no_obstacle(place):
     assert commission_log(place / "run.mcap").name == "run.commission-2.mcap"
 
 
-def test_an_excited_digit_that_met_something_is_spoilt():
+def test_a_digit_whose_sweep_touches_another_digit_is_blocked():
     from handctl.core.types import Event
     from handctl.log.read.timeline import LoggedEvent, PhaseChange
     from handctl.tune.identify.identify import blocked_digits
@@ -250,7 +250,7 @@ def test_gains_and_picture_are_two_files(place, capsys, kind, words):
 
 @pytest.mark.parametrize("name", ["jamia.calibration.toml", "jamia.gains.toml", "mine.study", "jamia.study"])
 @pytest.mark.parametrize("option", ["--output", "--picture"])
-def test_no_other_file_of_the_hand_is_written_over(place, capsys, name, option):
+def test_tuning_overwrites_no_other_file_of_the_hand(place, capsys, name, option):
     (place / "mine.study").write_text("mine")
     words = ("tune", "search", "--plants", "1", "--trials", "1", "--study", "mine.study", option, name)
     assert "expected another name" in refused(capsys, *words)
@@ -327,7 +327,7 @@ def test_a_wrong_perturbation_is_one_line_in_every_verb(place, capsys, verb, wor
         ("mass=2 mass=3", "--perturb: mass is given twice"),
     ],
 )
-def test_the_simulator_refuses_the_same(capsys, words, said):
+def test_the_simulator_refuses_the_same_perturbations(capsys, words, said):
     from firmware_sim.__main__ import main as simulate
 
     assert simulate(["--hand", "jamia", "--bus", "local:nobody", "--dry-run", "--perturb", *words.split()]) == 2

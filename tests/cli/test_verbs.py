@@ -23,7 +23,7 @@ HEAVY = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
 """What takes so long to import that a help would be waited for."""
 
 
-def test_no_help_waits_for_what_only_a_run_needs():
+def test_help_imports_nothing_that_only_a_run_needs():
     words = [[verb, "--help"] for verb in sorted(VERBS)]
     code = f"""
 import contextlib, io, sys
@@ -37,7 +37,7 @@ for words in {words!r}:
     assert ended.stdout.split() == sorted(VERBS)
 
 
-def test_the_protocols_to_choose_are_those_that_there_are():
+def test_the_protocol_option_lists_all_protocols():
     assert sorted(PROTOCOLS) == sorted(registry.PROTOCOLS)
 
 

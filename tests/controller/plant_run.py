@@ -37,7 +37,7 @@ class PlantRun:
     real: list[list[float]] = field(default_factory=list)
     events: list[tuple[float, Event]] = field(default_factory=list)
 
-    def told(self, name: str) -> list[tuple[float, str]]:
+    def events_named(self, name: str) -> list[tuple[float, str]]:
         """Return time and instance of each event with a name."""
         return [(t, event.where) for t, event in self.events if event.name == name]
 

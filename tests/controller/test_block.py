@@ -359,7 +359,7 @@ def test_every_decision_changes_the_digest(active: Bench) -> None:
     assert state.copy().digest() == state.digest()
 
 
-def others(value: Any) -> list[Any]:
+def other_values(value: Any) -> list[Any]:
     """Return other values of the same type. A named tuple changes in one part at a time."""
     if isinstance(value, bool):
         return [not value]
@@ -371,7 +371,7 @@ def others(value: Any) -> list[Any]:
         return [value + "x"]
     assert hasattr(value, "_fields"), value
     plain = {name: getattr(value, name) for name in value._fields if not isinstance(getattr(value, name), tuple)}
-    return [value._replace(**{name: other}) for name, part in plain.items() for other in others(part)]
+    return [value._replace(**{name: other}) for name, part in plain.items() for other in other_values(part)]
 
 
 @pytest.mark.parametrize("name", DriveState._fields)
@@ -380,7 +380,7 @@ def test_everything_that_is_known_of_a_drive_changes_the_digest(active: Bench, n
     state = active.state
     seen = {state.digest()}
     for n, drive in enumerate(state.drives):
-        for value in others(getattr(drive, name)):
+        for value in other_values(getattr(drive, name)):
             changed = state.copy()
             active.controller.keep(changed, n, drive._replace(**{name: value}))
             digest = changed.digest()

@@ -42,7 +42,7 @@ def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_pat
     closing = {"kind": "close", "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0}, "speed_deg_s": 60.0}
     task = program({"kind": "move", "angle_deg": OPEN, "duration_s": 0.3}, closing, {"kind": "hold", "tension_N": 15.0})
     run = run_on_plant(hand, task, WALL, tmp_path, 2.6)
-    found = {where: t for t, where in run.told("contact")}
+    found = {where: t for t, where in run.events_named("contact")}
     force = np.array(run.force)
     for d, name in enumerate(model_of(hand).hand.digit_names[:3]):
         assert name in found
@@ -69,9 +69,9 @@ def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
         phases += [{"kind": "close", "angle_deg": goal, "speed_deg_s": speed}]
         planned += 0.8 + 35.0 / speed * 1.875
     run = run_on_plant(hand, program(*phases), None, folder, seconds, seed)
-    assert math.isclose(run.t[-1], seconds, abs_tol=0.01) or run.told("phase")
+    assert math.isclose(run.t[-1], seconds, abs_tol=0.01) or run.events_named("phase")
     assert np.max(run.force) == 0.0, "the digits met each other"
-    return len(run.told("contact"))
+    return len(run.events_named("contact"))
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])

@@ -153,7 +153,7 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
     assert abs(np.nanmean(course.nis) - 2.0) < 0.15
 
 
-def test_the_covariance_is_carried_along_only_until_it_is_steady_again(model: HandModel) -> None:
+def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
     state, sigma = all_in_regime(model, Regime.FREE, x), []
     for k in range(300):

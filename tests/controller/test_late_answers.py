@@ -92,7 +92,7 @@ def second_answers(out: TickOut) -> list[str]:
     return [event.text for event in out.events if event.name == "fault" and event.text[:3] in ("B05", "B06", "N13")]
 
 
-def test_answers_that_come_a_tick_late_for_long_may_come_in_time_again() -> None:
+def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
     """A node that replies just after the deadline may send two replies in one tick when it becomes faster."""
     run = active_on_a_bus_without_stamps()
     held: list[list[Frame]] = [[]]

@@ -14,7 +14,7 @@ from handctl.programs.requests import HoldTension, MoveDigits, parse_request
 from tests.controller.synthetic import Estimate, empty_readings, estimate_under_tension, slack
 
 
-def asked(text: str) -> MoveDigits | HoldTension:
+def goal_from(text: str) -> MoveDigits | HoldTension:
     request = parse_request(text)
     assert isinstance(request, MoveDigits | HoldTension)
     return request
@@ -35,7 +35,7 @@ def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 5.0, 0.3)
     _, progress = live(model, estimate)
     names = model.hand.digit_names
-    request = asked('{"do": "move", "angle_deg": {"index": 40, "thumb": 10}, "duration_s": 2}')
+    request = goal_from('{"do": "move", "angle_deg": {"index": 40, "thumb": 10}, "duration_s": 2}')
     moved, events = apply_goal(model, progress, request, estimate, 7.0)
     assert [event.level for event in events] == ["info"]
     for d, name in enumerate(names):
@@ -49,7 +49,7 @@ def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
         np.testing.assert_allclose(goal.trajectory.end, math.radians(40 if name == "index" else 10))
         assert (goal.since, goal.trajectory.duration) == (7.0, 2.0)
     held, _ = apply_goal(
-        model, moved, asked('{"do": "hold", "tension_N": {"index": 25}, "rate_N_per_s": 9}'), estimate, 8.0
+        model, moved, goal_from('{"do": "hold", "tension_N": {"index": 25}, "rate_N_per_s": 9}'), estimate, 8.0
     )
     goal = held.goals[0]
     assert (goal.kind, goal.rate) == (Kind.TENSION, 9.0)
@@ -61,7 +61,7 @@ def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 5.0)
     _, progress = live(model, estimate)
     progress = replace(progress, contact=(True,) * len(model.digits))
-    moved, _ = apply_goal(model, progress, asked('{"do": "move", "angle_deg": {"index": 0}}'), estimate, 1.0)
+    moved, _ = apply_goal(model, progress, goal_from('{"do": "move", "angle_deg": {"index": 0}}'), estimate, 1.0)
     assert moved.contact == (False, *[True] * (len(model.digits) - 1))
 
 
@@ -79,7 +79,7 @@ def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
 def test_a_request_with_one_mistake_changes_nothing(model: HandModel, text: str, said: str) -> None:
     estimate = estimate_under_tension(model, 5.0)
     _, progress = live(model, estimate)
-    after, events = apply_goal(model, progress, asked(text), estimate, 1.0)
+    after, events = apply_goal(model, progress, goal_from(text), estimate, 1.0)
     assert after is progress
     assert [event.level for event in events] == ["warn"]
     assert said in events[0].text
@@ -89,7 +89,7 @@ def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> No
     estimate, program = slack(model), LiveProgram()
     progress = program.initial(model)
     for t in (0.0, 0.1):
-        after, events = apply_goal(model, progress, asked('{"do": "move", "angle_deg": {"index": 0}}'), estimate, t)
+        after, events = apply_goal(model, progress, goal_from('{"do": "move", "angle_deg": {"index": 0}}'), estimate, t)
         assert after is progress
         assert "not ready" in events[0].text
         progress, _ = program.advance(model, progress, estimate, empty_readings(model), t)
@@ -119,7 +119,7 @@ def test_a_live_session_never_ends_by_itself(model: HandModel) -> None:
 def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
     estimate, jog, t = (
         estimate_under_tension(model, 5.0),
-        JogProgram(asked('{"do": "hold", "tension_N": {"thumb": 8}}'), 0.5),
+        JogProgram(goal_from('{"do": "hold", "tension_N": {"thumb": 8}}'), 0.5),
         0.0,
     )  # type: ignore[arg-type]
     progress, began = jog.initial(model), -1.0
@@ -137,7 +137,7 @@ def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
 def test_impossible_jog_fails(model: HandModel) -> None:
     estimate, jog, t = (
         estimate_under_tension(model, 5.0),
-        JogProgram(asked('{"do": "move", "angle_deg": {"index": 101}}'), 0.5),
+        JogProgram(goal_from('{"do": "move", "angle_deg": {"index": 101}}'), 0.5),
         0.0,
     )  # type: ignore[arg-type]
     progress = jog.initial(model)

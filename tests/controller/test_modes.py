@@ -31,7 +31,7 @@ def hand(quick: HandModel) -> Bench:
     return bench(quick, LiveProgram())
 
 
-def lasted(run: Bench, mode: Mode) -> float:
+def duration_in(run: Bench, mode: Mode) -> float:
     return sum(out.mode == mode for _, _, out in run.history) * run.controller.model.period
 
 
@@ -48,8 +48,8 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
     run = bench(model, LiveProgram())
     run.until(Mode.ACTIVE)
     assert run.modes == HAPPY
-    assert lasted(run, Mode.SILENT) == pytest.approx(LISTEN_S, abs=1.5 * model.period)
-    assert lasted(run, Mode.READY) == pytest.approx(READY_S, abs=1.5 * model.period)
+    assert duration_in(run, Mode.SILENT) == pytest.approx(LISTEN_S, abs=1.5 * model.period)
+    assert duration_in(run, Mode.READY) == pytest.approx(READY_S, abs=1.5 * model.period)
     for _, _, out in run.history:
         if out.mode == Mode.SILENT:
             assert out.frames == (), "silent means silent"
@@ -126,7 +126,7 @@ def test_cut_from_every_mode(hand: Bench, mode: Mode) -> None:
     assert disabled(hand), "without a ramp, in the same tick"
     hand.until(Mode.DONE)
     assert hand.modes[-3:] == [Mode.CUT, Mode.DISARM, Mode.DONE]
-    assert lasted(hand, Mode.CUT) == pytest.approx(CUT_S, abs=1.5 * hand.controller.model.period)
+    assert duration_in(hand, Mode.CUT) == pytest.approx(CUT_S, abs=1.5 * hand.controller.model.period)
     assert not hand.state.failure, "a person wanted it"
 
 
@@ -190,7 +190,7 @@ def test_a_missing_motor_is_named(hand: Bench) -> None:
     hand.until(Mode.DONE)
     assert hand.state.failure == "no answer from ring_motor"
     assert ids_sent(hand, ENABLE) == []
-    assert lasted(hand, Mode.INVENTORY) == pytest.approx(INVENTORY_TIMEOUT_S, abs=0.05)
+    assert duration_in(hand, Mode.INVENTORY) == pytest.approx(INVENTORY_TIMEOUT_S, abs=0.05)
 
 
 def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(hand: Bench) -> None:
@@ -230,7 +230,7 @@ def test_a_motor_that_does_not_enable_is_named_and_all_are_disabled_again(hand: 
     hand.until(Mode.DONE)
     assert hand.state.failure == "not enabled: middle_motor"
     assert hand.modes == [*HAPPY[:4], Mode.DISARM, Mode.DONE]
-    assert lasted(hand, Mode.ARMING) == pytest.approx(ARMING_TIMEOUT_S, abs=0.05)
+    assert duration_in(hand, Mode.ARMING) == pytest.approx(ARMING_TIMEOUT_S, abs=0.05)
     assert disabled(hand)
 
 
@@ -241,7 +241,7 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(hand: B
     hand.until(Mode.DONE)
     assert hand.state.unconfirmed == ("thumb_motor",)
     assert hand.state.failure == "REMOVE POWER: not confirmed disabled: thumb_motor"
-    assert lasted(hand, Mode.DISARM) == pytest.approx(DISARM_TIMEOUT_S, abs=0.05)
+    assert duration_in(hand, Mode.DISARM) == pytest.approx(DISARM_TIMEOUT_S, abs=0.05)
 
 
 def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(hand: Bench) -> None:
@@ -311,7 +311,7 @@ def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand: Bench) -> None:
     hand.tick(STOP)
     while hand.state.mode == Mode.RELAX:
         hand.tick()
-    assert 0.05 < lasted(hand, Mode.RELAX) < 0.5, "500 N/s from 60 N"
+    assert 0.05 < duration_in(hand, Mode.RELAX) < 0.5, "500 N/s from 60 N"
     goals = np.array([out.telemetry.tension_goal for _, _, out in hand.history if out.mode == Mode.RELAX])
     assert (np.diff(goals, axis=0) <= 1e-9).all(), "no tension rises"
     assert np.abs(np.diff(goals, axis=0)).max() <= 500.0 * hand.controller.model.period + 1e-9

@@ -145,8 +145,8 @@ def test_a_growing_load_removes_the_object_only_without_slip_reaction(
         begin = run.t.index(3.4)
         motion[limit] = 1e3 * np.linalg.norm(np.subtract(run.place[-1], run.place[begin]))
         tension[limit] = max(float(row.max()) for row in run.tension[begin:])
-        assert run.told("slip"), "noticed in either case"
-        assert not [t for t, _ in run.told("slip") if t < 3.4], "before the load nothing slips"
+        assert run.events_named("slip"), "noticed in either case"
+        assert not [t for t, _ in run.events_named("slip") if t < 3.4], "before the load nothing slips"
     assert motion[""] > 20.0, "the positive control: it is pulled out"
     assert motion["limit"] < 8.0
     assert tension["limit"] > 25.0

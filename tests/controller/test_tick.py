@@ -59,7 +59,7 @@ def test_equal_inputs_give_equal_outputs(session: Bench) -> None:
         assert before.digest() == digest, "the state that went in is as it was"
 
 
-def test_another_controller_of_the_same_hand_executes_the_run_again(session: Bench) -> None:
+def test_another_controller_of_the_same_hand_repeats_the_run(session: Bench) -> None:
     model = session.controller.model
     other = bench(HandModel.of(model.hand, model.gains, 1.0 / model.period), LiveProgram()).controller
     state = other.initial()

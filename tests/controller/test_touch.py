@@ -52,9 +52,9 @@ def pressed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 def test_a_motion_into_a_stop_is_reported_and_presses_gently(pressed: tuple[str, PlantRun]) -> None:
     hand, run = pressed
-    assert [where for _, where in run.told("blocked")][:1] == ["index"]
-    assert not run.told("fault"), "no safety fault: before, the loop wound the rope up to the trip at 140 N"
+    assert [where for _, where in run.events_named("blocked")][:1] == ["index"]
+    assert not run.events_named("fault"), "no safety fault: before, the loop wound the rope up to the trip at 140 N"
     own = model_of(hand).digit_tendons[0]
-    at = run.told("blocked")[0][0]
+    at = run.events_named("blocked")[0][0]
     real = np.array(run.real)[np.array(run.t) > at + 0.1][:, own]
     assert real.max() < 120.0, "[N]; safety trips at 140"

@@ -41,17 +41,17 @@ def use_damiao_motor(interface: str, channel: str, node: int = 2) -> None:
         wait_for(lambda: motor.state.get("status") == "ENABLED", "enabled")
         start = motor.get_states()["pos"]
         motor.send_cmd_mit(feedforward_torque=0.1)
-        wait_for(lambda: _asked(motor)["pos"] > start + 0.5, "turned by a torque")
+        wait_for(lambda: _motor_states(motor)["pos"] > start + 0.5, "turned by a torque")
         goal = motor.get_states()["pos"] - 1.0
         motor.send_cmd_mit(target_position=goal, stiffness=20.0, damping=1.0)
-        wait_for(lambda: abs(_asked(motor)["pos"] - goal) < 0.02, "held at a position")
+        wait_for(lambda: abs(_motor_states(motor)["pos"] - goal) < 0.02, "held at a position")
         motor.disable()
         wait_for(lambda: motor.state.get("status") == "DISABLED", "disabled")
     finally:
         controller.shutdown()
 
 
-def _asked(motor: object) -> dict[str, float]:
+def _motor_states(motor: object) -> dict[str, float]:
     motor.request_motor_feedback()  # type: ignore[attr-defined]
     time.sleep(0.005)
     return dict(motor.get_states())  # type: ignore[attr-defined]
@@ -68,16 +68,16 @@ def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
         motor.enable()
         wait_for(lambda: motor.state.get("status") == "ENABLED", "enabled")
         motor.send_cmd_vel(target_velocity=3.0)
-        wait_for(lambda: abs(_asked(motor)["vel"] - 3.0) < 0.05, "at a velocity")
+        wait_for(lambda: abs(_motor_states(motor)["vel"] - 3.0) < 0.05, "at a velocity")
         motor.send_cmd_vel(target_velocity=0.0)
-        wait_for(lambda: abs(_asked(motor)["vel"]) < 0.05, "at rest")
+        wait_for(lambda: abs(_motor_states(motor)["vel"]) < 0.05, "at rest")
         motor.write_register(10, 2)
-        goal = _asked(motor)["pos"] - 1.0
+        goal = _motor_states(motor)["pos"] - 1.0
         motor.send_cmd_pos_vel(target_position=goal, velocity_limit=4.0)
-        wait_for(lambda: abs(_asked(motor)["pos"] - goal) < 0.01, "at a position")
+        wait_for(lambda: abs(_motor_states(motor)["pos"] - goal) < 0.01, "at a position")
         motor.write_register(10, 4)
         motor.send_cmd_force_pos(target_position=goal + 1.0, velocity_limit=4.0, torque_limit_ratio=0.05)
-        wait_for(lambda: abs(_asked(motor)["pos"] - goal - 1.0) < 0.01, "back with little torque")
+        wait_for(lambda: abs(_motor_states(motor)["pos"] - goal - 1.0) < 0.01, "back with little torque")
         motor.disable()
         wait_for(lambda: motor.state.get("status") == "DISABLED", "disabled")
         motor.write_register(10, 1)

@@ -87,7 +87,7 @@ def are_states_equal(one: DriveState, other: DriveState, drive: Drive) -> bool:
     return equal and one[0] == other[0] and one[5:] == other[5:]
 
 
-def wants(chance: random.Random) -> Iterator[DriveTarget]:
+def random_targets(chance: random.Random) -> Iterator[DriveTarget]:
     while True:
         yield DriveTarget.ENABLE if chance.random() < 0.97 else chance.choice(list(DriveTarget))
 
@@ -99,7 +99,7 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
     chance = random.Random(f"{name} {seed}")
     state, wired, steady = begin, Wired([drive], NO_SENSORS), 0
     wired.keep(0, begin)
-    for _, target in zip(range(TICKS), wants(chance), strict=False):
+    for _, target in zip(range(TICKS), random_targets(chance), strict=False):
         wired.begin()
         for _ in range(chance.randrange(4)):
             good = chance.random() < 0.7

@@ -93,7 +93,7 @@ def test_an_unknown_state_is_a_fault_and_never_counts_as_disabled(rig: MotorRig,
         assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [Phase.ENABLED]
 
 
-def test_clearing_forgives_answers_from_before_and_begins_again(rig: MotorRig) -> None:
+def test_clear_ignores_earlier_replies_and_starts_again(rig: MotorRig) -> None:
     rig.until(DriveTarget.ENABLE, Phase.ENABLED)
     rig.motor.nibble = 0xA
     rig.until(DriveTarget.ENABLE, Phase.FAULT)
@@ -141,7 +141,7 @@ def test_a_motor_that_is_silent_after_the_enable_command_counts_as_enabled(rig: 
     assert rig.tick(DriveTarget.DISABLE).phase == Phase.ENABLED
 
 
-def test_an_old_answer_after_enable_does_not_take_the_order_back(rig: MotorRig) -> None:
+def test_an_old_reply_after_enable_does_not_cancel_the_command(rig: MotorRig) -> None:
     rig.until(DriveTarget.POLL, Phase.READY)
     old = Frame(0x11, rig.motor.feedback(), 0, 0, rig.t_ns - 1)
     rig.tick(DriveTarget.ENABLE)

@@ -219,7 +219,7 @@ def test_invalid_bus_names_are_refused(name: str) -> None:
         bus_path(name)
 
 
-def test_the_truth_lies_beside_the_bus() -> None:
+def test_the_truth_file_is_named_after_the_bus() -> None:
     assert truth_path("local:demo").name == "local_demo.truth"
     assert truth_path("join:demo").name == "local_demo.truth"
     assert truth_path("socketcan:vcan0").name == "socketcan_vcan0.truth"

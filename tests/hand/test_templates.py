@@ -89,7 +89,7 @@ def test_tendons_and_motors_have_templates_too() -> None:
     assert [motor.velocity_range_rad_s for motor in hand.motor] == [30.0, 50.0, 50.0, 50.0]
 
 
-def test_tendons_and_motors_may_stand_beside_the_digits() -> None:
+def test_tendons_and_motors_may_have_their_own_sections() -> None:
     content = jamia()
     thumb = content["digit"][3]
     del thumb["tendon"], thumb["motor"]

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "evidence" / "paper-results.json"
 
 
-def test_the_bench_hand_reaches_what_its_sensors_can_tell_apart() -> None:
+def test_the_bench_hand_reaches_forces_that_its_sensors_distinguish() -> None:
     hand = load_hand("jamia_bench")
     for tendon in hand.tendon:
         noise = hand.sensor_node.tension_noise_N

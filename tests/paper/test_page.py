@@ -57,7 +57,7 @@ def test_page_has_every_measured_result(measured: dict[str, Any]) -> None:
         assert verdict == ("bound" if float(carried) > 0.9155 else "wrong" if float(carried) < 0.9145 else "equal")
 
 
-def test_the_page_s_figures_are_there(measured: dict[str, Any]) -> None:
+def test_every_figure_of_the_page_exists(measured: dict[str, Any]) -> None:
     text = PAGE.read_text(encoding="utf-8")
     found = re.findall(r"\]\((\.\./figures/paper-[\w-]+\.png)\)", text)
     assert len(found) == len(set(found)) == len(page.CAPTIONS)

@@ -13,7 +13,7 @@ SETTLED_S = 0.4
 """From the start of a hold until the grasp is at rest."""
 
 
-def mean_angles_apart(before: RunLog, after: RunLog) -> NDArray[np.float64]:
+def mean_angle_differences(before: RunLog, after: RunLog) -> NDArray[np.float64]:
     """Return the difference of the mean joint angle of each digit (times, digits) [deg]."""
     start, end = active_interval(before)
     times = np.arange(0.0, end - start, 0.005)

@@ -18,7 +18,7 @@ from handctl.replay.motion_replay import active_interval, compare_replay, playba
 
 
 @pytest.fixture(scope="module")
-def again(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def replayed(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Drive the golden grasp again at another rate and with other noise."""
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
     with RunLog(golden / "jamia-grasp.mcap") as before:
@@ -27,8 +27,8 @@ def again(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(golden: Path, again: Path) -> None:
-    with RunLog(golden / "jamia-grasp.mcap") as before, RunLog(again) as after:
+def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(golden: Path, replayed: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as before, RunLog(replayed) as after:
         compared = compare_replay(before, after)
         recorded_start, _ = active_interval(before)
         at_rest = [change.t_ns * 1e-9 for change in before.phases if change.name in ("hold", "release")]
@@ -43,15 +43,15 @@ def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(golden: Path,
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
-def test_the_driven_run_can_be_executed_again(again: Path) -> None:
-    with RunLog(again) as log:
+def test_the_driven_run_can_be_executed_again(replayed: Path) -> None:
+    with RunLog(replayed) as log:
         names = [change.name for change in log.phases]
         assert names.index("approach") < names.index("playback")
         assert execute_log(log).differing == 0
 
 
-def test_a_replay_moves_slowly_to_the_first_pose(again: Path) -> None:
-    with RunLog(again) as log:
+def test_a_replay_moves_slowly_to_the_first_pose(replayed: Path) -> None:
+    with RunLog(replayed) as log:
         starts = {change.name: change.k for change in log.phases}
         path = (log.k >= starts["approach"]) & (log.k < starts["playback"])
         assert np.nanmax(np.abs(log.field("dq_goal")[path])) < np.radians(30.0)
@@ -68,10 +68,10 @@ def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden: Pa
     assert np.isnan(played.q).any()
     assert not np.isnan(played.tension).any()
     assert (np.isnan(played.q) == np.isnan(played.ddq)).all()
-    again = Recording.read(played.text(), 11, 4)
+    reread = Recording.read(played.text(), 11, 4)
     assert all(
         one.tobytes() == two.tobytes()
-        for one, two in zip((played.q, played.ddq, played.tension), (again.q, again.ddq, again.tension), strict=True)
+        for one, two in zip((played.q, played.ddq, played.tension), (reread.q, reread.ddq, reread.tension), strict=True)
     )
 
 

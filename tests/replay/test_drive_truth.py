@@ -28,20 +28,20 @@ class Pair:
     raw: bool
 
     def compare_replay(self) -> dict[str, dict[str, dict[str, float]]]:
-        with RunLog(self.folder / "first.mcap") as before, RunLog(self.again) as after:
+        with RunLog(self.folder / "first.mcap") as before, RunLog(self.repeat) as after:
             return compare_replay(before, after)
 
     @property
-    def again(self) -> Path:
+    def repeat(self) -> Path:
         return self.folder / f"again-{self.raw}.mcap"
 
     def truths(self, *names: str) -> tuple[Array, Array, Array]:
         """Return times since the start of the interval [s], and both truths (times, names)."""
-        with RunLog(self.folder / "first.mcap") as before, RunLog(self.again) as after:
+        with RunLog(self.folder / "first.mcap") as before, RunLog(self.repeat) as after:
             recorded_start, end = active_interval(before)
             start = next(change.t_ns for change in after.phases if change.name == "playback")
         t_ns = np.arange(0, int((end - recorded_start) * 1e9), 2_000_000)
-        first, second = (read_truth(path) for path in (self.folder / "first.truth", self.again.with_suffix(".truth")))
+        first, second = (read_truth(path) for path in (self.folder / "first.truth", self.repeat.with_suffix(".truth")))
         return (
             t_ns / 1e9,
             first.table(list(names), t_ns + int(recorded_start * 1e9)),
@@ -77,8 +77,8 @@ def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
     made = Pair(folder, request.param)
     with RunLog(folder / "first.mcap") as before:
         program = playback_program(before, 1 / RATE_HZ, made.raw)
-    truth = made.again.with_suffix(".truth")
-    assert runs.run(made.again, program, rate_hz=RATE_HZ, seed=5, truth=truth).failure == ""
+    truth = made.repeat.with_suffix(".truth")
+    assert runs.run(made.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth).failure == ""
     return made
 
 

@@ -11,7 +11,7 @@ import pytest
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Watcher
-from tests.replay.repeat import mean_angles_apart, tensions_held
+from tests.replay.repeat import mean_angle_differences, tensions_held
 from tests.replay.runs import SCENE
 from tests.runtime.processes import (
     BUS,
@@ -50,7 +50,7 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     assert {name for name, row in result["joint_deg"].items() if row["peak"] > single} == set()
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, "as in lockstep, tests/replay/test_drive.py"
     with RunLog(GOLDEN) as before, RunLog(place / "again.mcap") as after:
-        apart = mean_angles_apart(before, after)
+        apart = mean_angle_differences(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
         assert apart.max() < 2.0, "where a digit leaves the object it may be a tick late"
         old, new = tensions_held(before, after)

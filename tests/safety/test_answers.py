@@ -21,7 +21,7 @@ class OpenRequests(Monitor):
         })  # fmt: skip
 
     @property
-    def owed(self) -> Owed:
+    def outstanding(self) -> Owed:
         """Return the number of open requests of each motor."""
         numbers, ticks = self.view("open_questions"), self.view("question").reshape(MAX_REQUESTS, -1)
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
@@ -53,15 +53,15 @@ class OpenRequests(Monitor):
 def test_a_request_increases_the_number_of_outstanding_replies(owed, able, after):
     questions = OpenRequests(owed)
     questions.ask(7, able)
-    assert questions.owed == after
+    assert questions.outstanding == after
 
 
 def test_outstanding_requests_are_limited() -> None:
     questions = OpenRequests(((),))
     for k in range(3 * MAX_REQUESTS):
         questions.ask(k)
-        assert len(questions.owed[0]) == min(k + 1, MAX_REQUESTS)
-    assert questions.owed[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
+        assert len(questions.outstanding[0]) == min(k + 1, MAX_REQUESTS)
+    assert questions.outstanding[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
 
 
 @pytest.mark.parametrize(("owed", "came", "after", "too_many"), [
@@ -79,7 +79,7 @@ def test_outstanding_requests_are_limited() -> None:
 def test_replies_match_requests_and_the_rest_is_excess(owed, came, after, too_many):
     questions = OpenRequests(owed)
     assert questions.answer(came) == too_many
-    assert questions.owed == after
+    assert questions.outstanding == after
     assert questions.get("surplus") == [1 + len(owed[n]) if n in too_many else 0 for n in range(len(owed))]
 
 
@@ -93,7 +93,7 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int)
             questions.ask(k)
             extra = questions.answer([0] if k < start + ticks else [ticks + 1])
             assert extra == [], f"from tick {start} on"
-        assert questions.owed == ((),)
+        assert questions.outstanding == ((),)
         questions.ask(k + 1)
         assert questions.answer([2]) == [0]
 
@@ -103,7 +103,7 @@ def test_lost_replies_do_not_hide_duplicates_for_long() -> None:
     for k in range(WINDOW + 3):
         questions.ask(k)
         assert questions.answer([0] if k < 3 else [1]) == []
-    assert questions.owed == ((2,),), "the last one stays open: all may come a tick late"
+    assert questions.outstanding == ((2,),), "the last one stays open: all may come a tick late"
     questions.ask(k + 1)
     assert questions.answer([3]) == [0]
 

@@ -13,7 +13,7 @@ from tests.vcan import uml
 
 @pytest.fixture
 def _possible() -> None:
-    kind, reason = uml.means()
+    kind, reason = uml.vcan_access()
     if not kind:
         pytest.skip(reason)
 
@@ -34,7 +34,7 @@ def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end:
     monkeypatch.setattr(uml, "_namespace", lambda: ["env"])
     output: list[str] = []
     status = uml.run(["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, report_line=output.append)
-    assert uml.means() == ("native", "")
+    assert uml.vcan_access() == ("native", "")
     assert output[:2] == ["a b", str(Path.cwd())]
     assert status == {"exit 7": 7, "kill -SEGV $$": 128 + 11}[end]
 
@@ -75,7 +75,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
         status = uml.run(["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, report_line=record_line)
         assert status == uml.TIMED_OUT
         assert output == ["started"]
-        if uml.means()[0] == "uml":
+        if uml.vcan_access()[0] == "uml":
             assert {len(allowed) for allowed in cores} == {1}, "kernel and program of a guest on one core"
         end = time.monotonic() + 20.0
         while processes_of(folder) and time.monotonic() < end:  # killed processes disappear after a moment

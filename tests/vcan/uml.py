@@ -39,7 +39,7 @@ ip link set lo up
 """
 
 
-def means() -> tuple[str, str]:
+def vcan_access() -> tuple[str, str]:
     """Return the way to vcan on this machine ("native", "uml" or ""), and the reason if there is none."""
     if shutil.which("unshare") is not None:
         trial = subprocess.run([*_namespace(), "bash", "-c", INTERFACES], capture_output=True, check=False, env=_env())
@@ -70,7 +70,7 @@ def run(
     Returns:
         The command's exit status, or TIMED_OUT, NO_STATUS or NO_VCAN without one.
     """
-    kind, reason = means()
+    kind, reason = vcan_access()
     if not kind:
         report_line(f"no vcan: {reason}")
         return NO_VCAN

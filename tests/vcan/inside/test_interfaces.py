@@ -45,7 +45,7 @@ def test_an_fd_frame_arrives_as_sent(length: int) -> None:
         assert receiver.recv(FD.size) == packed
 
 
-def test_the_two_buses_are_apart() -> None:
+def test_frames_of_one_bus_do_not_reach_the_other() -> None:
     with raw("vcan0") as sender, raw("vcan0") as same, raw("vcan1") as other:
         sender.send(CLASSICAL.pack(1, 0, b""))
         assert len(same.recv(FD.size)) == CLASSICAL.size

@@ -92,7 +92,7 @@ class Swing:
         )
         return small and not self.failure
 
-    def beside(self, plant_swings_N: tuple[float, ...]) -> "Swing":
+    def minus(self, plant_swings_N: tuple[float, ...]) -> "Swing":
         """Return the oscillation of the held tensions in excess of that of the plant itself [N]."""
         remaining = (
             max(0.0, swing - plant_swing) for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
@@ -238,7 +238,7 @@ class Proof:
                 continue
             # a swing of the loop is compared with the swing of the plant alone, in another simulation
             ringing = is_ringing(model, linear_factors(factors))
-            if result.failure or ringing or not result.beside(self._plant_swing(model, name, factors, seed)).at_rest:
+            if result.failure or ringing or not result.minus(self._plant_swing(model, name, factors, seed)).at_rest:
                 return f": {name} {result}{' of a loop that rings' if ringing else ''}"
         return ""
 
