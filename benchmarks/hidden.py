@@ -29,7 +29,7 @@ STOPPED_S = 1.5
 """Time from the stop to the end of the run [s]."""
 STOP = '{"do": "stop"}'
 HOLD_N = 90.0
-FAST_N_S = 60.0
+FAST_RISE_N_PER_S = 60.0
 FREE = "free"
 LOW = "hold 24"
 RISING = "rising"
@@ -64,7 +64,7 @@ def task() -> dict[str, Any]:
     other = copy.deepcopy(TASK)
     hold = other["phase"][-1]
     hold["duration_s"] = 1.5
-    rise = {"kind": "hold", "name": "rise", "tension_N": HOLD_N, "rate_N_per_s": FAST_N_S, "duration_s": 60.0}
+    rise = {"kind": "hold", "name": "rise", "tension_N": HOLD_N, "rate_N_per_s": FAST_RISE_N_PER_S, "duration_s": 60.0}
     other["phase"].append(rise)
     return other
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from tools.figures.numbers import PLACE, rows_of
+from tools.figures.numbers import TABLE_PATTERN, rows_of
 from tools.figures.runs import DEMO
 
 ROOT = Path(__file__).parents[2]
@@ -21,7 +21,7 @@ def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main([*DEMO, "--log", str(tmp_path / "demo.mcap")]) == 0
     right = " ".join(f"{name} {value}" for name, value in rows_of(json.loads(capsys.readouterr().out)))
     for page in PAGES:
-        places = [match[2] for match in PLACE.finditer(page.read_text(encoding="utf-8"))]
+        places = [match[2] for match in TABLE_PATTERN.finditer(page.read_text(encoding="utf-8"))]
         assert len(places) == 1, page
         written = " ".join(places[0].splitlines()[2:])
         pairs = zip(NUMBER.findall(written), NUMBER.findall(right), strict=True)

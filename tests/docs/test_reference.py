@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import VERBS
-from tools.reference.blocks import BLOCKS, PLACE, filled, pages
+from tools.reference.blocks import BLOCK_PATTERN, BLOCKS, filled, pages
 from tools.reference.topics import registered
 
 ROOT = Path(__file__).parents[2]
@@ -20,7 +20,7 @@ def test_no_page_is_stale(page: str) -> None:
 
 
 def test_every_block_has_a_page() -> None:
-    written = {match[2] for text, _ in PAGES.values() for match in PLACE.finditer(text)}
+    written = {match[2] for text, _ in PAGES.values() for match in BLOCK_PATTERN.finditer(text)}
     assert written == set(BLOCKS)
 
 

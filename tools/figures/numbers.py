@@ -7,7 +7,7 @@ from typing import Any
 
 from tools.figures import runs
 
-PLACE = re.compile(r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)(<!-- end of measured -->)", re.DOTALL)
+TABLE_PATTERN = re.compile(r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)(<!-- end of measured -->)", re.DOTALL)
 """Place of the table in a page."""
 
 
@@ -38,6 +38,6 @@ def write(root: Path, folder: Path) -> None:
     _, _, result = runs.grasp(folder)
     for path in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
         text = path.read_text(encoding="utf-8")
-        new = PLACE.sub(lambda match: f"{match[1]}{table(result)}{match[3]}", text)
+        new = TABLE_PATTERN.sub(lambda match: f"{match[1]}{table(result)}{match[3]}", text)
         if new != text:
             path.write_text(new, encoding="utf-8")

@@ -27,7 +27,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "hardware-tests": faults.hardware_checklist,
 }
 """Name of each block and the function that writes it."""
-PLACE = re.compile(r"(<!-- generated: ([\w-]+) -->\n)(.*?)(<!-- end of generated -->)", re.DOTALL)
+BLOCK_PATTERN = re.compile(r"(<!-- generated: ([\w-]+) -->\n)(.*?)(<!-- end of generated -->)", re.DOTALL)
 """Place of a block in a page."""
 
 
@@ -35,7 +35,7 @@ def pages(root: Path) -> Iterator[tuple[Path, str, str]]:
     """Yield path, present text, and right text of each page with a block."""
     for path in sorted([root / "README.md", *root.glob("docs/**/*.md")]):
         text = path.read_text(encoding="utf-8")
-        if PLACE.search(text):
+        if BLOCK_PATTERN.search(text):
             yield path, text, filled(text)
 
 
@@ -45,7 +45,7 @@ def filled(text: str) -> str:
     Raises:
         KeyError: the page names an unknown block.
     """
-    return PLACE.sub(lambda match: f"{match[1]}\n{BLOCKS[match[2]]().strip()}\n\n{match[4]}", text)
+    return BLOCK_PATTERN.sub(lambda match: f"{match[1]}\n{BLOCKS[match[2]]().strip()}\n\n{match[4]}", text)
 
 
 def stale_pages(root: Path) -> list[str]:

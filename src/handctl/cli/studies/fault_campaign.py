@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     protocols = ALL_PROTOCOLS if args.protocol == "all" else (args.protocol,)
     tried = {one.row.id for name in protocols for one in scenarios(hand_with_protocol(args.hand, name), name, 1.0)}
     for id_ in sorted(set(args.row) - tried):
-        raise ConfigError(repr(id_), "--row", f"a row with a fault that this hand can have with {args.protocol}")
+        raise ConfigError(repr(id_), "--row", f"a fault that can occur in this hand with {args.protocol} drives")
     folder = report_folder(args)
     fault_free_s = args.calm if args.calm is not None else QUICK_FAULT_FREE_S if args.quick else FAULT_FREE_S
     with progress_bar(FIRST_LABEL, quiet=args.json) as update_progress:

@@ -88,7 +88,7 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     sides = {0: ["packaged", "present"], 1: ["present", *args.sides], 2: args.sides}.get(len(args.sides))
     if sides is None:
         raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
-    one, other = (_gains_side(word, hand) for word in sides)
+    one, other = (_gains_to_compare(word, hand) for word in sides)
     changed = different_values(one, other)
     if args.json:
         print_json({"sides": sides, "changed": changed})
@@ -99,7 +99,7 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     return ExitCode.DONE
 
 
-def _gains_side(word: str, hand: Hand) -> Gains:
+def _gains_to_compare(word: str, hand: Hand) -> Gains:
     """Return the gains named by ``word``: packaged, present, a history number, a log, or a gains file.
 
     Raises:

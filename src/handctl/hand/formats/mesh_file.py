@@ -71,5 +71,5 @@ def _obj_triangles(data: bytes) -> Array:
     corners_of_faces = np.array(faces, dtype=np.int64).reshape(-1, 3)
     if corners_of_faces.max(initial=-1) >= len(places):
         what = f"a face with vertex {corners_of_faces.max() + 1} of {len(places)}"
-        raise ValueError(f"{what}; expected faces of vertices that are there")
+        raise ValueError(f"{what}; expected faces with vertices of this file")
     return np.asarray(places[corners_of_faces])
