@@ -118,7 +118,8 @@ def marks(times_ns: list[int]) -> dict:
 
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure the lateness of the clock of the loop. It sleeps, and spins with real-time priority."""
-    from handctl.runtime.clock import RealClock, take_priority
+    from handctl.runtime.clocks.priority import take_priority
+    from handctl.runtime.clocks.real import RealClock
 
     clock = RealClock(round(1e9 / rate_hz))
     clock.spin = take_priority().realtime
@@ -145,7 +146,7 @@ def both_cores_loaded():
 
 def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure the lateness of a sleep until absolute deadlines, without work and with the priority of the loop."""
-    from handctl.runtime.clock import take_priority
+    from handctl.runtime.clocks.priority import take_priority
 
     take_priority()
     start = time.monotonic_ns()

@@ -10,7 +10,7 @@ from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.registry import make_drive
 from handctl.hand.file.sections import Motor
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import RealClock
+from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.mailbox import bus_lock
 

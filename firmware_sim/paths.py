@@ -111,3 +111,8 @@ def truth_path(spec: str) -> Path:
     """Return the default path of the truth file of a simulator on this bus. A joined bus counts as local."""
     name = spec.replace("join:", "local:", 1) if spec.startswith("join:") else spec
     return run_dir() / (name.replace(":", "_").replace("/", "_") + ".truth")
+
+
+def clock_path(spec: str) -> Path:
+    """Return the path of the file with the shared clock of a simulator on this bus."""
+    return truth_path(spec).with_suffix(".clock")

@@ -43,10 +43,22 @@ class ServerClock(Protocol):
         """Return the target time of the plant [ns]."""
         ...
 
+    def ticks_sent(self) -> int:
+        """Return the number of ticks whose frames a controller on the same clock has sent."""
+        ...
+
+    def note_answered(self, ticks: int) -> None:
+        """Report that all frames of a number of ticks are answered."""
+        ...
+
+    def note_reached(self, t_ns: int) -> None:
+        """Report the time that the plant has reached [ns]."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class ScaledClock:
-    """CLOCK_MONOTONIC times a factor. Both sides of the wire compute the same time.
+    """CLOCK_MONOTONIC times a factor. Both sides of the wire compute the same time, and neither waits for the other.
 
     Attributes:
         scale: plant time per wall time.
@@ -57,6 +69,16 @@ class ScaledClock:
     def now_ns(self) -> int:
         """Return the present time [ns]."""
         return int(time.monotonic_ns() * self.scale)
+
+    def ticks_sent(self) -> int:
+        """See ``ServerClock``. No controller shares this clock."""
+        return 0
+
+    def note_answered(self, ticks: int) -> None:
+        """See ``ServerClock``."""
+
+    def note_reached(self, t_ns: int) -> None:
+        """See ``ServerClock``."""
 
 
 class Served(Protocol):
@@ -154,6 +176,15 @@ class Server:
             if not (frames := self._receive(())):
                 break
             self._answer(frames)
+        self._note_progress()
+
+    def _note_progress(self) -> None:
+        """Report answered ticks and the time of the plant to a controller on the same clock."""
+        self._clock.note_reached(self._world.t_ns + self._world.slip_ns)
+        # The number is read first: frames that arrive between the two calls belong to a later tick.
+        ticks = self._clock.ticks_sent()
+        if ticks and not self._ready_links(0.0):
+            self._clock.note_answered(ticks)
 
     def _note_host(self) -> None:
         """Take the real-time priority, and measure the pace from the first frame of a host."""
@@ -176,11 +207,14 @@ class Server:
         # The world's clock is behind the wall clock by the time given up.
         due_ns = self._world.t_ns + self._world.slip_ns + TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
-        timeout = max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9)
+        return self._ready_links(max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9))
+
+    def _ready_links(self, timeout_s: float) -> list[socket.socket]:
+        """Return the sockets that are ready for reading, after at most timeout_s."""
         readers = [link for port in self._ports for link in port.readers()]
         readers += self._faults.readers() if self._faults else []
         writers = [link for port in self._ports for link in port.writers()]
-        readable, _, _ = select.select(readers, writers, [], timeout)
+        readable, _, _ = select.select(readers, writers, [], timeout_s)
         return readable
 
     def _catch_up(self, sampled: bool) -> None:

@@ -14,7 +14,8 @@ from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import Progress, motion_to
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import RealClock, take_priority
+from handctl.runtime.clocks.priority import take_priority
+from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.loop import Loop
 from handctl.runtime.mailbox import STOP
 from handctl.session.plan import Plan
@@ -51,6 +52,9 @@ class UnpacedClock:
 
     def now_ns(self):
         return 0
+
+    def facts(self):
+        return {}
 
 
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):

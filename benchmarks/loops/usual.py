@@ -12,7 +12,7 @@ from filterpy.kalman import KalmanFilter
 
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
-from handctl.runtime.clock import take_priority
+from handctl.runtime.clocks.priority import take_priority
 
 ENABLE = b"\xff" * 7 + b"\xfc"
 DISABLE = b"\xff" * 7 + b"\xfd"

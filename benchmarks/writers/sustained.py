@@ -22,7 +22,8 @@ from handctl.drives.records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.runtime.clock import RealClock, restore_priority, take_priority
+from handctl.runtime.clocks.priority import restore_priority, take_priority
+from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.loop import Loop, LoopStats
 
 HAND = "jamia11"

@@ -2,12 +2,16 @@
 
 import socket
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import Protocol
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.local import HubPort, JoinedPort
 from firmware_sim.bus.socketcan import SocketCanPort
 from firmware_sim.description import SimulatorError
+
+VIRTUAL_INTERFACES = Path("/sys/devices/virtual/net")
+"""Folder of the network interfaces without hardware, such as vcan0. Source: Linux sysfs."""
 
 
 class Port(Protocol):
@@ -73,6 +77,12 @@ def open_port(spec: str, bus: int, timed_port: Callable[[str, int], Port] | None
     if kind == "socketcan" and name:
         return SocketCanPort(name, bus)
     raise SimulatorError(f"bus {spec!r}: expected local:NAME, join:NAME or socketcan:INTERFACE")
+
+
+def is_on_this_machine(spec: str) -> bool:
+    """Return whether all frames of a bus stay on this machine, so that a pause of the clock delays none of them."""
+    kind, _, name = spec.partition(":")
+    return kind == "local" or (kind == "socketcan" and (VIRTUAL_INTERFACES / name).exists())
 
 
 def assign(specs: list[str], buses: list[str]) -> list[str]:

@@ -8,18 +8,19 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.bus.ports import Port, assign, open_port
+from firmware_sim.bus.ports import Port, assign, is_on_this_machine, open_port
 from firmware_sim.bus.timed_port import timed_port_maker
 from firmware_sim.command import CommandParser, check_time_scale, until_signal
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.faults.socket import FaultSocket
-from firmware_sim.paths import faults_path, truth_path
+from firmware_sim.paths import clock_path, faults_path, truth_path
 from firmware_sim.plant.perturb import KEYS, perturbed
 from firmware_sim.printing import printable
 from firmware_sim.priority import RealTimePriority
 from firmware_sim.scene.scene import load_scene, packaged
 from firmware_sim.serials import with_serial_numbers
-from firmware_sim.server import ScaledClock, Server
+from firmware_sim.server import Server
+from firmware_sim.shared_clock import SharedClock
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import KEYS as WIRE_KEYS
 from firmware_sim.world import World, make_world
@@ -59,6 +60,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--seed", type=int, default=0, help="seed of noise, initial slack and encoder offsets (0)")
     add("--homed", action="store_true", help="start with taut tendons and encoders at zero")
     add("--time-scale", type=float, default=1.0, metavar="X", help="plant time per wall time (1)")
+    add("--strict-clock", action="store_true",
+        help="do not pause the clock of a controller on this machine if the machine is too slow")  # fmt: skip
     add("--truth", type=Path, metavar="FILE", help="file for the true state of the plant (in the run directory)")
     add("--json", action="store_true", help="print the line with the word ready as JSON")
     add("--dry-run", action="store_true", help="check all arguments and exit without opening a bus")
@@ -99,7 +102,7 @@ def run(words: list[str]) -> None:
     scene = load_scene(args.scene)
     hand = with_serial_numbers(hand, args.serial)
     specs = assign(args.bus, hand.buses)
-    clock = ScaledClock(args.time_scale)
+    clock = SharedClock(args.time_scale)
     world = make_world(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)
     timed_port = timed_port_maker(args.wire, hand.bitrates, clock.now_ns)
     if args.dry_run:
@@ -108,6 +111,8 @@ def run(words: list[str]) -> None:
     try:
         for bus, spec in enumerate(specs):
             ports.append(open_port(spec, bus, timed_port))
+        if not args.strict_clock and all(map(is_on_this_machine, specs)):
+            clock.publish(clock_path(specs[0]))
         path = args.truth or truth_path(specs[0])
         with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
             header = {**world.header("monotonic"), "perturb": factors, "time_scale": args.time_scale}
@@ -117,6 +122,7 @@ def run(words: list[str]) -> None:
             ready_line = json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
             _serve(Server(world, ports, clock, faults, RealTimePriority()), world, path, header, ready_line)
     finally:
+        clock.close()
         for port in ports:
             port.close()
 

@@ -15,7 +15,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import MoveDigits
-from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
+from handctl.runtime.clocks.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.session.calibration import commission, previous_identified, write_calibration
 from handctl.session.run import make_controller, run_lockstep
 from tests.drives.protocol_bench import hand_file

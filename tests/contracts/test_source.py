@@ -69,7 +69,7 @@ def test_a_controller_meets_the_simulator_in_one_place() -> None:
         for path in sources("src", "benchmarks", "fuzz")
         if re.search(r"\b(load_peer|LockstepClock)\(", path.read_text(encoding="utf-8"))
     }
-    assert builders == {"src/handctl/runtime/lockstep.py", "src/handctl/session/simulate.py"}
+    assert builders == {"src/handctl/runtime/clocks/lockstep.py", "src/handctl/session/simulate.py"}
 
 
 def test_no_folder_has_more_than_fourteen_modules() -> None:

@@ -21,7 +21,7 @@ from handctl.hand.load import hand_path
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import parse_request
-from handctl.runtime.lockstep import load_peer
+from handctl.runtime.clocks.lockstep import load_peer
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench, controller
 from tests.controller.law_runs import limit_of

@@ -9,7 +9,7 @@ from handctl.controller.bus_load import bus_loads
 from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import ERROR
 from handctl.hand.load import hand_path, load_hand
-from handctl.runtime.lockstep import LockstepBus, LockstepClock
+from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
 from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
 
 TICKS = 400

@@ -23,15 +23,32 @@ STATE_ENABLED, STATE_LOST = 1, 0xD
 
 
 class ManualClock:
-    """A clock that the test sets."""
+    """A clock that the test sets.
+
+    Attributes:
+        t_ns: present time [ns].
+        sent: number of ticks that a controller has sent.
+        answered: number of ticks that the server reported as answered.
+        reached_ns: time that the server reported as reached [ns].
+    """
 
     scale = 1.0
 
     def __init__(self) -> None:
         self.t_ns = START
+        self.sent = self.answered = self.reached_ns = 0
 
     def now_ns(self) -> int:
         return self.t_ns
+
+    def ticks_sent(self) -> int:
+        return self.sent
+
+    def note_answered(self, ticks: int) -> None:
+        self.answered = ticks
+
+    def note_reached(self, t_ns: int) -> None:
+        self.reached_ns = t_ns
 
 
 class FakePort:
@@ -115,6 +132,39 @@ def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: Bench) -> None:
         assert bench.world.t_ns == START + min(turn * STRIDE_NS, 30 * MS)
     assert bench.server.overruns == sum(30 * MS - turn * STRIDE_NS > LATE_NS for turn in range(8))
     assert bench.world.slip_ns == 0
+
+
+def test_progress_is_reported_to_a_controller_on_the_same_clock(bench: Bench) -> None:
+    bench.clock.sent = 5
+    bench.turn(3.7, Frame(1, ENABLE))
+    assert bench.clock.reached_ns == bench.world.t_ns == START + round(3.7 * MS)
+    assert bench.clock.answered == 5
+
+
+def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
+    """A frame that arrives during a turn is answered in the next turn."""
+    port = HubPort("t", 0)
+    clock = ManualClock()
+    server = Server(World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START), [port], clock)
+    controller = JoinedPort("t", 0)
+    server.turn()
+    answer = server._answer
+
+    def send_meanwhile(frames: list[Frame]) -> None:
+        answer(frames)
+        if clock.sent == 1:
+            controller.send([Frame(2, ENABLE)])
+            clock.sent = 2
+
+    server._answer = send_meanwhile  # type: ignore[method-assign]
+    controller.send([Frame(1, ENABLE)])
+    clock.sent = 1
+    server.turn()
+    assert clock.answered == 0
+    server.turn()
+    assert clock.answered == 2
+    controller.close()
+    port.close()
 
 
 def test_an_answer_waits_for_one_stride_at_most(bench: Bench) -> None:

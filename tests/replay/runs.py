@@ -18,7 +18,7 @@ from handctl.log.write.recorder import Recorder
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import load_task
-from handctl.runtime.lockstep import LockstepBus, LockstepClock, Peer, load_peer
+from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, Peer, load_peer
 from handctl.runtime.loop import Loop
 from handctl.session.header import run_header
 from handctl.session.plan import Plan

@@ -14,7 +14,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
 from handctl.replay.execute import execute_log
-from handctl.runtime.lockstep import Peer
+from handctl.runtime.clocks.lockstep import Peer
 
 RATE_HZ, SECONDS = 200.0, 600.0
 DEAF_S = 598.0

@@ -8,8 +8,9 @@ import pytest
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.records import Frames, Records, frames_as_records
 from handctl.errors import ConfigError
-from handctl.runtime.clock import Priority, RealClock
-from handctl.runtime.lockstep import LockstepBus, LockstepClock, load_peer
+from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_peer
+from handctl.runtime.clocks.priority import Priority
+from handctl.runtime.clocks.real import RealClock
 
 PERIOD = 2_000_000
 

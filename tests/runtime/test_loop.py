@@ -40,6 +40,9 @@ class ScriptedClock:
     def now_ns(self) -> int:
         return 0
 
+    def facts(self) -> dict[str, str]:
+        return {}
+
 
 @dataclass
 class FakeBus:

@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from handctl.cli.main import main
-from handctl.runtime import clock
-from handctl.runtime.clock import restore_priority, take_priority
+from handctl.runtime.clocks import priority
+from handctl.runtime.clocks.priority import restore_priority, take_priority
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="real-time scheduling is Linux's")
 
@@ -31,18 +31,18 @@ def test_the_doctor_tries_real_time_priority_and_resets_it() -> None:
 def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Regression: locking hundreds of MB under SCHED_FIFO blocked all else on the core for a tenth of a second."""
     calls: list[str] = []
-    monkeypatch.setattr(clock, "_lock_memory", lambda: calls.append("memory") is None)
-    monkeypatch.setattr(clock, "_enter_fifo", lambda level: calls.append("priority") is None)
-    assert take_priority() == clock.Priority(realtime=True, locked=True)
+    monkeypatch.setattr(priority, "_lock_memory", lambda: calls.append("memory") is None)
+    monkeypatch.setattr(priority, "_enter_fifo", lambda level: calls.append("priority") is None)
+    assert take_priority() == priority.Priority(realtime=True, locked=True)
     assert calls == ["memory", "priority"]
 
 
 def test_only_ticks_have_realtime_priority() -> None:
     """Regression: starting a loop and closing its log blocked all else on the core as well."""
-    granted = clock.prepare_priority()
+    granted = priority.prepare_priority()
     seen = []
     assert policy() == os.SCHED_OTHER
-    with clock.realtime_priority() as granted_now:
+    with priority.realtime_priority() as granted_now:
         seen.append(policy())
     restore_priority()
     assert granted_now == granted.realtime

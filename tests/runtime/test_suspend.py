@@ -1,6 +1,6 @@
 """Detection of a suspend of the machine, with simulated clocks."""
 
-from handctl.runtime.suspend import SuspendWatch
+from handctl.runtime.clocks.suspend import SuspendWatch
 
 
 def test_a_suspend_is_reported_once_with_its_length():

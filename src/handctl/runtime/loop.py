@@ -23,7 +23,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
 from handctl.handlers import installed_handler
-from handctl.runtime.clock import Clock
+from handctl.runtime.clocks.real import Clock
 from handctl.runtime.mailbox import CUT, STOP
 
 S = TypeVar("S")

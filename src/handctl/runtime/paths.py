@@ -171,6 +171,11 @@ def truth_path(spec: str) -> Path:
     return run_dir() / f"{_file_name(spec)}.truth"
 
 
+def clock_path(spec: str) -> Path:
+    """Return the path of the file with the clock that the simulator of a bus shares with its controller."""
+    return run_dir() / f"{_file_name(spec)}.clock"
+
+
 def is_served(path: Path) -> bool:
     """Return True if a process takes datagrams at the path of a socket.
 

@@ -11,7 +11,7 @@ from handctl.controller.tick import Controller
 from handctl.hand.formats.urdf import urdf_text
 from handctl.log.code_identity import code_identity
 from handctl.log.header import RunHeader
-from handctl.runtime.clock import Priority
+from handctl.runtime.clocks.priority import Priority
 from handctl.session.plan import Plan
 
 VIRTUAL_START_S = 0.0

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.errors import ConfigError
-from handctl.runtime.lockstep import load_entry
+from handctl.runtime.clocks.lockstep import load_entry
 
 READER = "firmware_sim.model_file:read_model_file"
 """Function that reads a description, see there for its result."""

@@ -16,7 +16,7 @@ from handctl.controller.state import State
 from handctl.controller.streams import stream_status
 from handctl.controller.tick import Controller
 from handctl.core.types import IoEvent, TickIn, TickOut
-from handctl.errors import DriveError, PowerError
+from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack_snapshot, pack_tick_record
@@ -26,14 +26,17 @@ from handctl.programs.calibration import Calibration
 from handctl.programs.live import LiveProgram, import_spline
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import Clock, Priority, RealClock, prepare_priority, realtime_priority, restore_priority
+from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
+from handctl.runtime.clocks.priority import Priority, prepare_priority, realtime_priority, restore_priority
+from handctl.runtime.clocks.real import Clock, RealClock
+from handctl.runtime.clocks.shared import ClockFile, SharedClock
+from handctl.runtime.clocks.suspend import SuspendWatch
 from handctl.runtime.hold_limit import HoldLimit
-from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, StopSignals
 from handctl.runtime.mailbox import CLEAR, Mailbox, bus_lock
 from handctl.runtime.observations import ObservationWriter
+from handctl.runtime.paths import clock_path, faults_path, is_served
 from handctl.runtime.status import status_of_tick
-from handctl.runtime.suspend import SuspendWatch
 from handctl.runtime.targets import TargetBox
 from handctl.session.exit_codes import ExitCode
 from handctl.session.header import run_header
@@ -53,6 +56,8 @@ class Outcome:
         log: summary of the recorder.
         priority: priority granted by the operating system, or None in lockstep.
         offset_ns: time t = 0 of the run on the simulator's clock [ns].
+        pauses: number of pauses of a clock shared with the simulator.
+        paused_ns: sum of these pauses [ns of wall time].
     """
 
     state: State
@@ -60,6 +65,8 @@ class Outcome:
     log: dict[str, object]
     priority: Priority | None
     offset_ns: int
+    pauses: int = 0
+    paused_ns: int = 0
 
     @property
     def late(self) -> bool:
@@ -140,8 +147,8 @@ def run_live(
     """
     for text in setup.unverified_protections(controller.drives):
         plan.tell(f"handctl: caution: {text}")
-    clock = RealClock(plan.period_ns, plan.time_scale)
     with ExitStack() as stack:
+        clock = _open_clock(plan, stack)
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
         targets = TargetBox(plan.buses[0], clock.of)
@@ -168,7 +175,8 @@ def run_live(
         request_source = _merge_requests(observer, _request_source(plan, signals, mailbox, targets))
         loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
         loop.observe = lambda entry, out, state: observations.publish(entry, out, stream_status(state))
-        return _run_to_end(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
+        outcome = _run_to_end(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
+        return replace(outcome, pauses=clock.pauses, paused_ns=clock.paused_ns)
 
 
 def run_lockstep(
@@ -197,6 +205,25 @@ def run_lockstep(
     outcome = _run_to_end(loop, controller, recorder, display, None, lambda: clock.offset_ns)
     limit.refuse_stopped(f"{plan.hand.name} in lockstep, log {log}")
     return outcome
+
+
+def _open_clock(plan: Plan, stack: ExitStack) -> RealClock:
+    """Return the clock of a run: shared with the simulator of its bus where there is one, or CLOCK_MONOTONIC.
+
+    Raises:
+        BusError: the file of the shared clock is of another version.
+    """
+    spec = plan.buses[0]
+    if not is_served(faults_path(spec)):
+        return RealClock(plan.period_ns, plan.time_scale)
+    try:
+        file = ClockFile(clock_path(spec))
+    except FileNotFoundError:
+        return RealClock(plan.period_ns, plan.time_scale)
+    except (OSError, ValueError) as error:
+        raise BusError(f"cannot share the clock of the simulator: {error}", spec, "sim --strict-clock") from None
+    stack.callback(file.close)
+    return SharedClock(plan.period_ns, plan.time_scale, file=file)
 
 
 def refuse_blind_view(view_requested: bool) -> None:
@@ -351,5 +378,5 @@ def _run_to_end(
     finally:
         if display:
             display.close()
-        summary = recorder.close(reason)
+        summary = recorder.close(reason, loop.clock.facts())
     return Outcome(state, loop.stats, summary, priority, offset_ns())

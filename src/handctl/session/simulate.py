@@ -24,7 +24,7 @@ from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_path
 from handctl.programs.program import Program
-from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, Peer, load_peer
+from handctl.runtime.clocks.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, Peer, load_peer
 
 CHECK_NS = 2_000_000
 """Control period of a simulated hand constructed only to check its settings [ns]."""

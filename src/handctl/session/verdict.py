@@ -50,6 +50,8 @@ def judge_run(
     stats = outcome.stats
     result |= {
         "missed": stats.missed,
+        "clock_pauses": outcome.pauses,
+        "clock_paused_s": outcome.paused_ns / 1e9,
         "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
         "frames_rx": stats.frames_rx,

@@ -29,7 +29,7 @@ from handctl.hand.load import load_hand
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import RealClock
+from handctl.runtime.clocks.real import RealClock
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome, make_controller, run_live

@@ -19,7 +19,7 @@ from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.handlers import TerminationFlag, installed_handler
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import RealClock
+from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.diagnostics.watch import STALE_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.buses import refuse_default_hand

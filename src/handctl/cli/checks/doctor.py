@@ -14,7 +14,7 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
 from handctl.extras import extras_installed
-from handctl.runtime.clock import Priority, realtime_priority, restore_priority, take_priority
+from handctl.runtime.clocks.priority import Priority, realtime_priority, restore_priority, take_priority
 from handctl.runtime.paths import run_dir
 from handctl.session.exit_codes import ExitCode
 

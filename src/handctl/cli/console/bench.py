@@ -22,7 +22,8 @@ from handctl.hand.file.sections import Motor
 from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import RealClock, restore_priority, take_priority
+from handctl.runtime.clocks.priority import restore_priority, take_priority
+from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import Scan, receive_for, scan_bus
 

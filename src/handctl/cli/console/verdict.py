@@ -18,6 +18,7 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
             f"{result['ticks']} at {result['rate_hz']:g} Hz{_time_scale_text(result['time_scale'])}",
         ),
         ("missed ticks", f"{result['missed']}"),
+        *_clock_text(result),
         (
             "lateness p50 / p99.9 / max",
             f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us",
@@ -64,6 +65,15 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
 def _pauses_text(silent: int) -> str:
     """Return the explanation of late frames: number of ticks without an answer from any node."""
     return f", bus silent for {silent} tick{'s' if silent > 1 else ''}" if silent else ""
+
+
+def _clock_text(result: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return how long the clock paused for a machine that was too slow, empty without a pause."""
+    if not result["clock_pauses"]:
+        return []
+    simulated_s = result["ticks"] / result["rate_hz"]
+    times = "once" if result["clock_pauses"] == 1 else f"{result['clock_pauses']} times"
+    return [("clock paused for this machine", f"{times}, {result['clock_paused_s']:.3f} s in {simulated_s:.1f} s")]
 
 
 def _time_scale_text(scale: float) -> str:

@@ -55,7 +55,8 @@ def demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--lockstep", action="store_true", help=text)
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
-    time_scale_option(parser, 1.0, "1, and less if this machine cannot keep up")
+    time_scale_option(parser, 1.0, "1")
+    _strict_clock_option(parser)
     perturb_option(parser)
     text = "use the identified values of this file; the simulated hand is commissioned nevertheless"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
@@ -147,3 +148,10 @@ def sim(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
     wire_option(parser)
     time_scale_option(parser, 1.0, "1")
+    _strict_clock_option(parser)
+
+
+def _strict_clock_option(parser: argparse.ArgumentParser) -> None:
+    """Declare --strict-clock."""
+    text = "never pause the clock of a simulated hand: on a slow machine ticks and answers are late, as on a real bus"
+    parser.add_argument("--strict-clock", action="store_true", help=text)

@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from handctl.cli.console.plan import make_plan
 from handctl.cli.console.verbosity import print_note
 from handctl.cli.runs.other_protocol import hand_in_protocol
 from handctl.cli.runs.run import report
-from handctl.controller.tick import Controller
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
@@ -29,7 +27,6 @@ from handctl.runtime.paths import truth_path
 from handctl.session.calibration import IdentifiedByTendon, commission, identified_in, write_calibration
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import assignments
-from handctl.session.pace import slower_time_scale
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
 from handctl.session.simulate import Simulator
@@ -37,8 +34,6 @@ from handctl.session.tasks import find_scene, find_task
 
 SIMULATOR = "firmware_sim"
 START_S = 20.0
-MIN_TIME_SCALE = 0.1
-"""Smallest time scale for a machine that is too slow for its simulated hand."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -71,7 +66,7 @@ def _run_demo(args: argparse.Namespace) -> int:
     if args.lockstep:
         outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log, identified)
     else:
-        outcome, plan = _in_real_time(args, plan, TaskProgram(task), log, identified)
+        outcome = _in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
     from handctl.session.verdict import judge_run  # reads the log, so that a run starts without it
@@ -91,72 +86,13 @@ def _bus_words(names: tuple[str, ...]) -> list[str]:
     return [spec] if len(names) == 1 else [f"{name}={spec}-{name}" for name in names]
 
 
-class _LateError(Exception):
-    """Error for a run in which this machine was too slow for the simulated hand and its controller.
-
-    Attributes:
-        scale: time scale at which the machine is fast enough.
-    """
-
-    def __init__(self, failure: str, scale: float) -> None:
-        super().__init__(failure)
-        self.scale = scale
-
-
 def _in_real_time(
     args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
-) -> tuple[Outcome, Plan]:
-    """Run in real time, with a smaller time scale if the machine is too slow.
-
-    Returns the outcome and its plan.
-    """
-    retry = plan.time_scale > MIN_TIME_SCALE and not wire_words(args)  # a simulated wire can be slower than the machine
-    runners = (_live_runner(view=False, refuse_late=retry), _live_runner(args.view, refuse_late=retry))
-    commissioning = commission_log(log)
-    try:
-        with running_simulator(args, plan):
-            return _commission_and_run(plan, program, log, runners, identified), plan
-    except _LateError as late:
-        slower_plan = replace(plan, time_scale=max(late.scale, MIN_TIME_SCALE))
-        _rename_late_logs(log, commissioning, plan.time_scale)
-        reason = f"this machine does not keep up with a simulated hand ({late})"
-        print(f"handctl: {reason}; once more at {slower_plan.time_scale:g} of real time", file=sys.stderr)
-    return _in_real_time(args, slower_plan, program, log, identified)
-
-
-def _rename_late_logs(log: Path, commissioning: Path, scale: float) -> None:
-    """Rename the logs of a late run, so that the next attempt can use their names.
-
-    Args:
-        log: log of the run.
-        commissioning: log of the commissioning of this run. Logs of earlier runs keep their names.
-        scale: time scale, for the new names. No existing file is replaced.
-    """
-    number = 1
-    stem = f"{log.stem}-at-{scale:g}"
-    while any(map(os.path.lexists, _log_names(log, stem))):
-        number += 1
-        stem = f"{log.stem}-at-{scale:g}-{number}"
-    for before, after in zip((log, commissioning), _log_names(log, stem), strict=True):
-        if before.exists():
-            before.rename(after)
-
-
-def _log_names(log: Path, stem: str) -> tuple[Path, Path]:
-    """Return the log names of a run and of its commissioning, with another stem."""
-    run_log = log.with_name(f"{stem}.mcap")
-    return run_log, log.with_name(f"{stem}.commission.mcap")
-
-
-def _live_runner(view: bool, refuse_late: bool) -> Runner:
-    def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
-        outcome = run_live(plan, controller, log, live_view=view)
-        state = outcome.state
-        if refuse_late and state.failure and not state.progress.failure:  # a hand that was only late
-            raise _LateError(state.failure, slower_time_scale(plan, outcome))
-        return outcome
-
-    return runner
+) -> Outcome:
+    """Run in real time, with the simulator as a separate process."""
+    runners = (run_live, partial(run_live, live_view=args.view))
+    with running_simulator(args, plan):
+        return _commission_and_run(plan, program, log, runners, identified)
 
 
 def _commission_and_run(
@@ -204,7 +140,7 @@ def running_simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
     """
     command = [sys.executable, "-m", SIMULATOR, "--hand", str(args.hand)]
     command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_words(args)]
-    command += ["--time-scale", str(plan.time_scale), *perturb_words(args)]
+    command += ["--time-scale", str(plan.time_scale), *["--strict-clock"] * args.strict_clock, *perturb_words(args)]
     for name, spec in zip(plan.hand.bus_names, plan.buses, strict=True):
         command += ["--bus", f"{name}={spec}"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)

@@ -30,6 +30,7 @@ def _simulator_command(args: argparse.Namespace, hand: str) -> list[str]:
     """Return the command that starts the simulator with a hand file."""
     command = [sys.executable, "-m", "firmware_sim", "--hand", hand, "--scene", args.scene]
     command += ["--seed", str(args.seed), "--time-scale", str(args.time_scale)]
+    command += ["--strict-clock"] * args.strict_clock
     for bus in args.bus:
         command += ["--bus", bus]
     assignments(args.perturb, "--perturb")

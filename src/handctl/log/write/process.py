@@ -100,6 +100,7 @@ class RecorderSession:
         self._wall_flush = True
         self._reason = "controller died"
         self._dropped = 0
+        self._facts: dict[str, str] = {}
 
     def run(self) -> None:
         """Read until the input ends, then close the file."""
@@ -125,7 +126,7 @@ class RecorderSession:
                 next_sync = now + SYNC_S
                 self._writer.sync()
         if self._writer:
-            send_note({"summary": self._writer.finish(self._reason, self._dropped)})
+            send_note({"summary": self._writer.finish(self._reason, self._dropped, self._facts)})
 
     def _take_record(self, kind: int, body: bytes) -> None:
         """Process one record."""
@@ -146,6 +147,7 @@ class RecorderSession:
             end = json.loads(body)
             self._reason = str(end["reason"])
             self._dropped = int(end["dropped"])
+            self._facts = {str(name): str(value) for name, value in end["facts"].items()}
 
 
 def main() -> int:

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import termios
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Self
@@ -235,17 +236,18 @@ class Recorder:
             *lines, self._line = (self._line + data).split(b"\n")
             self._messages += [json.loads(line) for line in lines]
 
-    def close(self, reason: str) -> dict[str, object]:
+    def close(self, reason: str, facts: Mapping[str, str] | None = None) -> dict[str, object]:
         """End the run, and wait until the file is complete.
 
         Args:
             reason: reason of the end, for the log.
+            facts: facts that are known only at the end of the run, for the log.
 
         Returns:
             summary with path, bytes, complete, dropped, and if the recorder has finished, ticks,
             messages, lost, reason.
         """
-        body = json.dumps({"reason": reason, "dropped": self.dropped}).encode()
+        body = json.dumps({"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}).encode()
         if not self._ended and self._send(self._rest, CLOSE_S):
             self._send(record_bytes(END, body), CLOSE_S)
         os.close(self._pipe)

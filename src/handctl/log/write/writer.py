@@ -5,7 +5,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -251,7 +251,7 @@ class LogWriter:
             self._container.cut_back()
             self._write_end(f"write failed: {error.strerror}", 0)
 
-    def _write_end(self, reason: str, dropped: int) -> None:
+    def _write_end(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> None:
         """Write the end of the file.
 
         If this fails, the file is truncated after its last complete record.
@@ -265,6 +265,7 @@ class LogWriter:
             "misshapen": self._batcher.misshapen,
         }
         values = {
+            **(facts or {}),
             "reason": reason,
             "messages": str(self._container.messages),
             "chain": self._topics.last_digest.hex(),
@@ -278,12 +279,18 @@ class LogWriter:
         finally:
             os.fsync(self._fd)
 
-    def finish(self, reason: str, dropped: int) -> dict[str, object]:
-        """Close the file and return a summary."""
+    def finish(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> dict[str, object]:
+        """Close the file and return a summary.
+
+        Args:
+            reason: reason of the end.
+            dropped: number of ticks that the recorder did not accept.
+            facts: facts that are known only at the end of the run, by name.
+        """
         self.flush()
         if not self.dead:
             try:
-                self._write_end(reason, dropped)
+                self._write_end(reason, dropped, facts)
             except OSError as error:
                 self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
         os.close(self._fd)

@@ -7,7 +7,7 @@ from handctl.compiled import prepare
 from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.clock import Clock
+from handctl.runtime.clocks.real import Clock
 
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""

@@ -15,7 +15,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.sensors.contract import Sensors
 from handctl.drives.signals import Quantity, Table
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.clock import Clock
+from handctl.runtime.clocks.real import Clock
 from handctl.runtime.diagnostics.scan import receive_for
 
 LISTEN_S = 0.5

@@ -1,78 +1,9 @@
-"""Time of a run: absolute deadlines on CLOCK_MONOTONIC, with an optional scale.
-
-The virtual time of lockstep is in ``lockstep``.
-"""
+"""Real-time priority and locked memory of the control process."""
 
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
-
-SPIN_NS = 60_000
-"""Time before a deadline in which a process with real-time priority spins instead of sleeping [ns of wall time].
-
-``time.sleep`` returns about 50 us late, even under SCHED_FIFO.
-"""
-
-
-class Clock(Protocol):
-    """Clock of the control loop. All times are in the run's time unless wall time is stated."""
-
-    def start(self) -> None:
-        """Start the run's time. The next tick is tick 0."""
-        ...
-
-    def wait(self, k: int) -> int:
-        """Wait for the deadline of tick k and return the lateness [ns], 0 or more."""
-        ...
-
-    def now_ns(self) -> int:
-        """Return the time since the start of the run [ns]."""
-        ...
-
-
-@dataclass
-class RealClock:
-    """Clock with deadlines at start + k * period on CLOCK_MONOTONIC.
-
-    With scale 0.1, one second of the run takes ten seconds.
-
-    Attributes:
-        period_ns: control period [ns of the run's time].
-        scale: run time divided by wall time.
-        spin: True to spin before each deadline, useful only with real-time priority.
-        start_ns: CLOCK_MONOTONIC at tick 0 [ns of wall time].
-    """
-
-    period_ns: int
-    scale: float = 1.0
-    spin: bool = False
-    start_ns: int = 0
-
-    def start(self) -> None:
-        """Start the run's time. The deadline of tick 0 is one period from now."""
-        self.start_ns = time.monotonic_ns() + int(self.period_ns / self.scale)
-
-    def wait(self, k: int) -> int:
-        """Wait for the deadline of tick k and return the lateness [ns], see ``Clock``."""
-        deadline = self.start_ns + int(k * self.period_ns / self.scale)
-        early = deadline - time.monotonic_ns() - (SPIN_NS if self.spin else 0)
-        if early > 0:
-            time.sleep(early / 1e9)
-        while (now := time.monotonic_ns()) < deadline:  # sleep may return early, and the spin is here
-            if not self.spin:
-                time.sleep((deadline - now) / 1e9)
-        return int((now - deadline) * self.scale)  # from wall time to the run's time
-
-    def now_ns(self) -> int:
-        """Return the time since the start of the run [ns]."""
-        return self.of(time.monotonic_ns())
-
-    def of(self, monotonic_ns: int) -> int:
-        """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns]."""
-        return int((monotonic_ns - self.start_ns) * self.scale)
 
 
 @dataclass(frozen=True, slots=True)

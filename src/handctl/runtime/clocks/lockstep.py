@@ -134,6 +134,10 @@ class LockstepClock:
         """Return the scheduled time of the present tick [ns]."""
         return self.k * self.period_ns
 
+    def facts(self) -> dict[str, str]:
+        """Return no facts: virtual time is the same in each run."""
+        return {}
+
 
 class LockstepBus:
     """All buses of a hand in lockstep, as one object. Each frame has the index of its bus."""

@@ -1,0 +1,1 @@
+"""Clocks of a run: real time, a clock shared with a simulator, and virtual time."""

@@ -1,0 +1,167 @@
+"""A clock shared with the simulator of this machine, which pauses where the machine is too slow.
+
+A simulated hand and its controller are two processes on one machine. The operating system may stop
+either of them for many milliseconds. On real hardware only the controller can be stopped, and a late
+tick is a fault. In a simulation such a stop says nothing about hand or controller. The shared clock
+therefore pauses in two cases:
+
+- The controller wakes up late. The clock continues from a short time after the deadline.
+- The simulator has not yet answered the frames of the tick before. The clock waits at that time.
+
+The time of both processes is CLOCK_MONOTONIC minus the sum of all pauses. The gate is the time at which
+the clock pauses, shortly after the next deadline. The controller moves the gate in every tick, and the
+simulator never advances beyond it. Both limits of a pause are short: a process that was killed, or stopped
+by a person, is noticed, as on a real bus.
+
+The simulator creates a file with six 64-bit integers, and both processes map it:
+
+    version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
+
+The controller writes numbers 2 to 4, the simulator writes the others. All times are CLOCK_MONOTONIC
+minus the pauses, without the time scale. A 64-bit integer is written at once, so no lock is needed.
+"""
+
+import mmap
+import os
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from handctl.runtime.clocks.real import RealClock
+
+VERSION = 1
+GATE, PAUSED, SENT, ANSWERED, REACHED = 1, 2, 3, 4, 5
+"""Indices of the integers in the file."""
+COUNT = 6
+OPEN_GATE = 2**63 - 1
+"""Gate of a simulator without a controller."""
+TOLERATED = 0.1
+"""Lateness without a pause, as a fraction of the control period."""
+CONTROLLER_LIMIT_NS = 35_000_000
+"""Longest lateness of the controller that becomes a pause [ns]. After it, the ticks are missed."""
+SIMULATOR_LIMIT_NS = 250_000_000
+"""Longest wait for the simulator [ns]. After it, the frames are missing, as on a real bus."""
+POLL_S = 50e-6
+"""Time between two looks at the simulator [s]."""
+BEHIND_NS = 1_500_000
+"""Time by which a simulator that is not late may be behind the clock [ns of the run's time]. It advances each ms."""
+
+
+class ClockFile:
+    """The mapped file of a shared clock.
+
+    Attributes:
+        numbers: the integers of the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Map the file of a simulator.
+
+        Raises:
+            FileNotFoundError: the simulator has no shared clock.
+            ValueError: the file has another size or version.
+        """
+        descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        try:
+            self._map = mmap.mmap(descriptor, 8 * COUNT)
+        finally:
+            os.close(descriptor)
+        self.numbers = memoryview(self._map).cast("q")
+        if self.numbers[0] != VERSION:
+            raise ValueError(f"{path}: version {self.numbers[0]}; expected {VERSION}")
+
+    def close(self) -> None:
+        """Open the gate, so that the simulator continues alone, and unmap the file."""
+        self.numbers[GATE] = OPEN_GATE
+        self.numbers.release()
+        self._map.close()
+
+
+@dataclass
+class SharedClock(RealClock):
+    """Clock of a controller that shares the time with its simulator, see ``RealClock``.
+
+    Attributes:
+        file: file of the simulator.
+    """
+
+    file: ClockFile = field(kw_only=True)
+    _last_pause: tuple[int, int] = (0, 0)
+    _given_up: int = -1
+
+    def start(self) -> None:
+        """Start the run's time, see ``RealClock``."""
+        super().start()
+        self._let_pass(0)
+
+    def wait(self, k: int) -> int:
+        """Wait for the deadline of tick k and for the simulator, and return the lateness [ns], see ``RealClock``."""
+        self._numbers[SENT] += 1
+        deadline = self._deadline(k)
+        late = self._wait_until(deadline)
+        if late <= CONTROLLER_LIMIT_NS:
+            paused_ns = self._numbers[PAUSED]
+            self._stop_at_gate()
+            self._wait_for_simulator(deadline)
+            self._count_pause(self._numbers[PAUSED] - paused_ns)
+            late = min(self._read_ns(), self._numbers[GATE]) - deadline
+        self._let_pass(k + 1 + int(late * self.scale) // self.period_ns)
+        return int(late * self.scale)
+
+    def facts(self) -> dict[str, str]:
+        """Return the number of the pauses and their sum, see ``Clock``."""
+        return {"clock_pauses": str(self.pauses), "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}"}
+
+    def of(self, monotonic_ns: int) -> int:
+        """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns]. Only the last pause is taken into account."""
+        end_ns, pause_ns = self._last_pause
+        since_pause = self._numbers[PAUSED] - min(max(end_ns - monotonic_ns, 0), pause_ns)
+        return int((monotonic_ns - since_pause - self.start_ns) * self.scale)
+
+    def _read_ns(self) -> int:
+        return time.monotonic_ns() - self._numbers[PAUSED]
+
+    @property
+    def _numbers(self) -> "memoryview[int]":
+        return self.file.numbers
+
+    def _let_pass(self, k: int) -> None:
+        """Let the simulator advance to tick k, and no further."""
+        self._numbers[GATE] = self._deadline(k) + int(TOLERATED * self.period_ns / self.scale)
+
+    def _stop_at_gate(self) -> None:
+        """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
+
+        The simulator never read a later time, so its time does not jump back.
+        """
+        self._numbers[PAUSED] += max(0, self._read_ns() - self._numbers[GATE])
+
+    def _wait_for_simulator(self, deadline: int) -> None:
+        """Stop the clock at the gate until the simulator has answered the frames of the tick before.
+
+        A simulator that has not answered for ``SIMULATOR_LIMIT_NS`` is not waited for again until it
+        answers.
+        """
+        numbers = self._numbers
+        if numbers[ANSWERED] == self._given_up:
+            return
+        end = time.monotonic_ns() + SIMULATOR_LIMIT_NS
+        while not self._is_answered(deadline):
+            time.sleep(POLL_S)
+            self._stop_at_gate()
+            if time.monotonic_ns() > end:
+                self._given_up = numbers[ANSWERED]
+                return
+
+    def _is_answered(self, deadline: int) -> bool:
+        """Return True if the simulator has answered all frames, and is no step behind the deadline."""
+        numbers = self._numbers
+        behind_ns = int(BEHIND_NS / self.scale)
+        return bool(numbers[ANSWERED] >= numbers[SENT] and numbers[REACHED] >= deadline - behind_ns)
+
+    def _count_pause(self, pause_ns: int) -> None:
+        """Count the pause before this tick [ns of wall time]."""
+        if pause_ns:
+            self._last_pause = (time.monotonic_ns(), pause_ns)
+            self.pauses += 1
+            self.paused_ns += pause_ns

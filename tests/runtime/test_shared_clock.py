@@ -1,0 +1,245 @@
+"""The clock that controller and simulator share: when it pauses, when it does not, and what the simulator reads."""
+
+import random
+import signal
+import time
+from collections.abc import Callable
+
+import pytest
+
+from firmware_sim import shared_clock as simulated
+from firmware_sim.bus.ports import is_on_this_machine
+from handctl.runtime.clocks import shared
+from handctl.runtime.clocks.shared import ClockFile, SharedClock
+from handctl.runtime.mailbox import Watcher
+from tests.runtime.processes import BUS, result_of, start_handctl, wait_for
+
+PERIOD = 2_000_000
+TOLERATED = PERIOD // 10
+MS = 1_000_000
+
+
+class Machine:
+    """A simulator and a controller on a simulated CLOCK_MONOTONIC.
+
+    Attributes:
+        now: CLOCK_MONOTONIC [ns].
+        overshoots: overshoots of the next sleeps [ns], 10 us after them.
+        simulator: clock of the simulator.
+        controller: clock of the controller.
+        between: function that runs during each sleep, at its end.
+    """
+
+    def __init__(self, path, monkeypatch: pytest.MonkeyPatch, scale: float = 1.0) -> None:
+        self.now = 5_000_000_000
+        self.overshoots: list[int] = []
+        self.between: Callable[[], None] = lambda: None
+        monkeypatch.setattr(time, "monotonic_ns", lambda: self.now)
+        monkeypatch.setattr(time, "sleep", self.sleep)
+        self.simulator = simulated.SharedClock(scale)
+        self.simulator.publish(path)
+        self.controller = SharedClock(PERIOD, scale, file=ClockFile(path))
+
+    def sleep(self, seconds: float) -> None:
+        self.now += round(seconds * 1e9) + (self.overshoots.pop() if self.overshoots else 10_000)
+        self.between()
+
+    def answer(self) -> None:
+        """Let the simulator reach its time and answer all frames."""
+        self.simulator.note_reached(self.simulator.now_ns())
+        self.simulator.note_answered(self.simulator.ticks_sent())
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    built = Machine(tmp_path / "t.clock", monkeypatch)
+    built.between = built.answer
+    return built
+
+
+def test_both_sides_agree_on_the_file(tmp_path) -> None:
+    names = ("VERSION", "GATE", "PAUSED", "SENT", "ANSWERED", "REACHED", "COUNT", "OPEN_GATE")
+    assert [getattr(shared, name) for name in names] == [getattr(simulated, name) for name in names]
+    assert shared.CONTROLLER_LIMIT_NS < simulated.SILENT_NS, "a pause must end before the simulator gives up"
+
+
+def test_a_fast_machine_needs_no_pause(machine) -> None:
+    machine.controller.start()
+    late = [machine.controller.wait(k) for k in range(200)]
+    assert max(late) <= 20_000
+    assert machine.controller.pauses == 0
+    assert machine.controller.facts() == {"clock_pauses": "0", "clock_paused_ms": "0.0"}
+
+
+@pytest.mark.parametrize("late_ms", [1, 3, 34])
+def test_the_clock_pauses_for_a_late_controller(machine, late_ms) -> None:
+    clock = machine.controller
+    clock.start()
+    clock.wait(0)
+    begin = machine.now
+    machine.overshoots = [late_ms * MS]
+    assert clock.wait(1) == TOLERATED
+    assert clock.pauses == 1
+    assert clock.paused_ns == pytest.approx(late_ms * MS - TOLERATED, abs=20_000)
+    assert clock.wait(2) <= 20_000, "the deadlines move with the clock"
+    assert machine.now - begin == pytest.approx(2 * PERIOD + clock.paused_ns, abs=50_000)
+    assert clock.now_ns() == pytest.approx(2 * PERIOD, abs=50_000)
+
+
+def test_ticks_of_a_controller_that_was_stopped_are_missed(machine) -> None:
+    """A person may stop the controller, and the watchdogs of the drives must see it."""
+    clock = machine.controller
+    clock.start()
+    clock.wait(0)
+    machine.overshoots = [40 * MS]
+    assert clock.wait(1) == pytest.approx(40 * MS, abs=20_000)
+    assert clock.pauses == 0
+
+
+def test_the_clock_waits_for_the_simulator(machine) -> None:
+    clock = machine.controller
+    clock.start()
+    clock.wait(0)
+    stopped_until = machine.now + 30 * MS
+    read: list[int] = []
+
+    def stopped() -> None:
+        read.append(machine.simulator.now_ns())
+        if machine.now >= stopped_until:
+            machine.answer()
+
+    machine.between = stopped
+    assert clock.wait(1) <= TOLERATED
+    assert machine.now >= stopped_until
+    assert clock.pauses == 1
+    assert clock.paused_ns == pytest.approx(30 * MS - PERIOD, abs=200_000)
+    assert max(read) <= clock.start_ns + PERIOD + TOLERATED
+    assert read == sorted(read)
+
+
+def test_a_simulator_that_stopped_is_not_waited_for_again(machine) -> None:
+    """The frames are then missing, and the faults for it are those of a real bus."""
+    clock = machine.controller
+    clock.start()
+    clock.wait(0)
+    machine.between = lambda: None
+    begin = machine.now
+    clock.wait(1)
+    assert machine.now - begin == pytest.approx(shared.SIMULATOR_LIMIT_NS, rel=0.02)
+    begin = machine.now
+    for k in range(2, 50):
+        clock.wait(k)
+    assert machine.now - begin == pytest.approx(48 * PERIOD, abs=MS)
+    machine.between = machine.answer
+    clock.wait(50)
+    machine.between = lambda: None
+    begin = machine.now
+    clock.wait(51)
+    assert machine.now - begin > shared.SIMULATOR_LIMIT_NS, "it has answered meanwhile and is waited for again"
+
+
+def test_a_simulator_behind_its_time_is_waited_for(machine) -> None:
+    """It has answered all frames, but its sensors would send frames meanwhile."""
+    clock = machine.controller
+    clock.start()
+    clock.wait(0)
+    reached = machine.simulator.now_ns()
+    until = machine.now + 10 * MS
+
+    def behind() -> None:
+        machine.simulator.note_answered(machine.simulator.ticks_sent())
+        machine.simulator.note_reached(reached if machine.now < until else machine.simulator.now_ns())
+
+    machine.between = behind
+    clock.wait(1)
+    assert machine.now >= until
+
+
+def test_the_simulator_leaves_a_controller_that_stays_away(machine) -> None:
+    clock = machine.controller
+    clock.start()
+    clock.wait(0)
+    gate = clock.start_ns + PERIOD + TOLERATED
+    machine.now = gate + simulated.SILENT_NS
+    assert machine.simulator.now_ns() == gate
+    machine.now += 1
+    assert machine.simulator.now_ns() == machine.now
+
+
+def test_a_closed_clock_opens_the_gate(machine, tmp_path) -> None:
+    machine.controller.start()
+    machine.controller.wait(0)
+    machine.controller.file.close()
+    machine.now += 20 * MS
+    assert machine.simulator.now_ns() == machine.now
+    machine.simulator.close()
+    assert not (tmp_path / "t.clock").exists()
+
+
+def test_a_time_stamp_before_the_last_pause_is_converted(machine) -> None:
+    """A client stamps its targets with CLOCK_MONOTONIC."""
+    clock = machine.controller
+    clock.start()
+    clock.wait(0)
+    stamp, run_ns = machine.now, clock.now_ns()
+    machine.overshoots = [20 * MS]
+    clock.wait(1)
+    assert clock.of(stamp) == pytest.approx(run_ns, abs=1)
+    assert clock.of(machine.now) == clock.now_ns()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, seed) -> None:
+    """On random machines, which stop controller and simulator at random times."""
+    rng = random.Random(seed)
+    machine = Machine(tmp_path / "t.clock", monkeypatch, scale := rng.choice([0.1, 1.0, 1.0, 4.0]))
+    machine.controller.spin = rng.random() < 0.5
+    read = [0]
+
+    def advance() -> None:
+        read.append(machine.simulator.now_ns())
+        if rng.random() < 0.7:
+            machine.answer()
+
+    machine.between = advance
+    if machine.controller.spin:
+        monkeypatch.setattr(time, "monotonic_ns", lambda: setattr(machine, "now", machine.now + 500) or machine.now)
+    machine.controller.start()
+    k = 0
+    for _ in range(300):
+        if rng.random() < 0.1:
+            machine.overshoots = [rng.randrange(30 * MS)]
+        late = machine.controller.wait(k)
+        assert late <= max(TOLERATED, 60_000 * scale), "no tick of these is missed"
+        advance()
+        machine.now += rng.randrange(2 * MS) if rng.random() < 0.1 else 50_000
+        k += 1 + late // PERIOD
+    assert read == sorted(read)
+    assert machine.controller.pauses > 0
+
+
+def test_only_buses_of_this_machine_share_a_clock() -> None:
+    assert is_on_this_machine("local:demo")
+    assert not is_on_this_machine("join:demo")
+    assert is_on_this_machine("socketcan:lo"), "an interface without hardware"
+    assert not is_on_this_machine("socketcan:can0")
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("victim", ["simulator", "controller"])
+def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, victim) -> None:
+    """Stops of 20 ms, as a busy machine makes them. Without the shared clock each of them delays ten ticks."""
+    processes.append(start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json"))
+    simulator, controller = processes[-2:]
+    with Watcher(BUS) as watcher:
+        wait_for("bend", watcher, controller)
+    process = simulator if victim == "simulator" else controller
+    for _ in range(5):
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(0.02)
+        process.send_signal(signal.SIGCONT)
+        time.sleep(0.05)
+    code, result, err = result_of(processes.pop())
+    assert code == 0, err
+    assert (result["missed"], result["frames_late"], result["frames_lost"]) == (0, 0, 0)
+    assert result["clock_paused_s"] > 0.05
