@@ -74,7 +74,7 @@ def test_a_hand_of_two_buses_works_in_real_time(place, slower):
     (place / "buses.toml").write_text(toml_text(two_buses()))
     (place / "bend.toml").write_text('schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n')
     words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
-    done = handctl("demo", "--json", *words, *scaled(0.5 * slower))
+    done = handctl("demo", "--json", *words, *scaled(slower))
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["failure"] == ""
 

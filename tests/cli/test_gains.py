@@ -146,7 +146,7 @@ def test_gains_that_give_no_controller_are_not_applied(place, capsys):
 
 @pytest.mark.realtime
 def test_set_on_a_running_hand_is_in_its_log(place, slower):
-    scale = scaled(0.4 * slower)
+    scale = scaled(slower)
     handctl = [sys.executable, "-m", "handctl.cli"]
     sim = [sys.executable, "-m", "firmware_sim", "--hand", "jamia", "--bus", "local:set", "--homed", *scale]
     log, hand_file = place / "run.mcap", load_hand("jamia")

@@ -311,6 +311,15 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
         assert client.faults == {"I11a"}, "it does not silence the watch for a million seconds"
 
 
+def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
+    """Regression: both count as sent at the time of the tick, and the second was called overtaken."""
+    with live(jamia) as client:
+        client.open()
+        client.tick(client.target(10.0, age_s=-1e-4), client.target(10.0, age_s=-2e-4))
+        assert stream_status(client.run.state)[2:4] == (2, 0), "accepted and clipped"
+        assert stream_status(client.run.state).late == 0
+
+
 def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
     """Targets arrive up to 8 ms late, some are lost: no tick needs the acceleration limit."""
     random = np.random.default_rng(4)

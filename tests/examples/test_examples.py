@@ -20,7 +20,7 @@ from tests.runtime.processes import HOMED, READY_S, end, scaled, write_homed
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 REALTIME = pytest.mark.realtime
-SCALE = 0.3
+SCALE = 1.0
 
 
 @contextmanager

@@ -15,40 +15,12 @@ from firmware_sim.priority import ORDINARY_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.server import LATE_NS, SLIP_NS, STRIDE_NS, ScaledClock, Server
 from firmware_sim.world import World
+from tests.firmware_sim.manual_clock import ManualClock
 
 MS = 1_000_000
 START = 7_000 * MS
 ENABLE, COMMAND = bytes.fromhex("fffffffffffffffc"), bytes.fromhex("7fff7ff0000007ff")
 STATE_ENABLED, STATE_LOST = 1, 0xD
-
-
-class ManualClock:
-    """A clock that the test sets.
-
-    Attributes:
-        t_ns: present time [ns].
-        sent: number of ticks that a controller has sent.
-        answered: number of ticks that the server reported as answered.
-        reached_ns: time that the server reported as reached [ns].
-    """
-
-    scale = 1.0
-
-    def __init__(self) -> None:
-        self.t_ns = START
-        self.sent = self.answered = self.reached_ns = 0
-
-    def now_ns(self) -> int:
-        return self.t_ns
-
-    def ticks_sent(self) -> int:
-        return self.sent
-
-    def note_answered(self, ticks: int) -> None:
-        self.answered = ticks
-
-    def note_reached(self, t_ns: int) -> None:
-        self.reached_ns = t_ns
 
 
 class FakePort:
@@ -78,7 +50,7 @@ class FakePort:
 
 class Bench:
     def __init__(self) -> None:
-        self.clock, self.wire = ManualClock(), FakePort()
+        self.clock, self.wire = ManualClock(START), FakePort()
         self.world = World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
         self.server = Server(self.world, [self.wire], self.clock)
 
@@ -144,7 +116,7 @@ def test_progress_is_reported_to_a_controller_on_the_same_clock(bench: Bench) ->
 def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     """A frame that arrives during a turn is answered in the next turn."""
     port = HubPort("t", 0)
-    clock = ManualClock()
+    clock = ManualClock(START)
     server = Server(World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START), [port], clock)
     controller = JoinedPort("t", 0)
     server.turn()

@@ -16,27 +16,18 @@ from handctl.drives.frame import Frame
 from handctl.drives.frame_time import frame_time_s
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
+from tests.firmware_sim.manual_clock import ManualClock
 
 MS = 1_000_000
 START = 5_000 * MS
 SYNC, TENSIONS, REGISTERS = 0x80, 0x1A0, 0x7FF
 
 
-class ManualClock:
-    scale = 1.0
-
-    def __init__(self) -> None:
-        self.t_ns = START
-
-    def now_ns(self) -> int:
-        return self.t_ns
-
-
 class Lab:
     """A hand and a host on a bus with wire timing. ``at`` sets the clock and processes all events that are due."""
 
     def __init__(self, words: list[str], hand: bool = True) -> None:
-        self.clock = ManualClock()
+        self.clock = ManualClock(START)
         made = timed_port_maker(words, [DEFAULT_BITRATES], self.clock.now_ns, nodes=hand)
         assert made
         self.port = made("lab", 0)

@@ -29,5 +29,4 @@ def test_the_clock_of_the_demo_pauses_on_a_slow_machine(place, processes):
 def test_a_strict_clock_does_not_pause(place, processes):
     processes.append(start_handctl("demo", "--strict-clock", *FAST))
     code, _, err = result_of(processes.pop())
-    assert code == 1
-    assert "--time-scale" in err
+    assert code == 1, err

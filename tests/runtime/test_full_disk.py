@@ -15,7 +15,6 @@ from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for, write_homed
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
-SCALE = 0.4
 ROOM = "96m"
 """More than the recorder wants to stay free, so that the run begins as usual."""
 

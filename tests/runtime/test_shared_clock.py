@@ -4,6 +4,7 @@ import random
 import signal
 import time
 from collections.abc import Callable
+from contextlib import closing
 
 import pytest
 
@@ -231,7 +232,7 @@ def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, vict
     """Stops of 20 ms, as a busy machine makes them. Without the shared clock each of them delays ten ticks."""
     processes.append(start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json"))
     simulator, controller = processes[-2:]
-    with Watcher(BUS) as watcher:
+    with closing(Watcher(BUS)) as watcher:
         wait_for("bend", watcher, controller)
     process = simulator if victim == "simulator" else controller
     for _ in range(5):

@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 SIDES = ("left", "right")
 RATE = ("--rate", "100")
 """Low rate: four processes with a deadline share the processors."""
-SCALE = 0.15
+SCALE = 0.5
 
 
 def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):

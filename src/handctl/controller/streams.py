@@ -145,9 +145,8 @@ def apply_target(
         )
     sent_ns = min(target.sent_ns, t_ns)
     running = state.whole(s.STREAMING) == RUNNING
-    overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns <= state.whole(
-        s.STREAM_SENT_NS
-    )
+    # Targets of one tick may have the same time: that of the tick.
+    overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns < state.whole(s.STREAM_SENT_NS)
     if (running and overtaken) or t_ns - sent_ns > 1e9 * OLDEST_S:
         return _count_target(
             state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old"

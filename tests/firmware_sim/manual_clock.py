@@ -1,0 +1,31 @@
+"""A clock of the simulator that a test sets."""
+
+
+class ManualClock:
+    """A clock that the test sets.
+
+    Attributes:
+        t_ns: present time [ns].
+        sent: number of ticks that a controller has sent.
+        answered: number of ticks that the server reported as answered.
+        reached_ns: time that the server reported as reached [ns].
+    """
+
+    scale = 1.0
+
+    def __init__(self, t_ns: int) -> None:
+        """Start at a time [ns]."""
+        self.t_ns = t_ns
+        self.sent = self.answered = self.reached_ns = 0
+
+    def now_ns(self) -> int:
+        return self.t_ns
+
+    def ticks_sent(self) -> int:
+        return self.sent
+
+    def note_answered(self, ticks: int) -> None:
+        self.answered = ticks
+
+    def note_reached(self, t_ns: int) -> None:
+        self.reached_ns = t_ns
