@@ -1,6 +1,7 @@
 """Lines that an operator sees during a run, from the display process."""
 
 from handctl.campaign.stage import homed_run
+from handctl.cli.console import display
 from handctl.cli.console.display import DisplayProcess
 from handctl.core.types import Event, Mode
 from handctl.hand.load import load_hand
@@ -44,3 +45,15 @@ def test_only_a_fault_has_a_remedy(capfd) -> None:
         assert display._advised(Event("info", "gain", "motion.force_N", "26.0")) == "motion.force_N = 26.0"
     finally:
         display.close()
+
+
+def test_the_tensions_of_many_tendons_fit_into_the_width_of_a_terminal():
+    """Regression: the line of a hand with 17 tendons had 300 characters."""
+    names = [f"finger_{number}_flexor_tendon" for number in range(17)]
+    line = {"t": 1.0, "mode": "ACTIVE", "phase": "hold", "tension": [1.5 * number for number in range(17)]}
+    rows = display._tension_lines(names, line).splitlines()
+    assert len(rows) > 2
+    assert max(map(len, rows)) <= 120
+    pairs = " ".join(row[len("   1.000 s  ACTIVE    hold       tension [N]  ") :] for row in rows).split()
+    assert pairs[::2] == [name.removesuffix("_tendon") for name in names]
+    assert [float(value) for value in pairs[1::2]] == line["tension"]

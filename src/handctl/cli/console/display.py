@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,6 +24,9 @@ EVERY_S = 0.1
 STDERR = 2
 """File descriptor for the display, because standard output is for results."""
 ONE_SECOND_NS = 1_000_000_000
+MAX_COLUMNS = 120
+"""Longest plain line [characters]."""
+NO_BREAK = "\u00a0"
 
 
 class DisplayProcess:
@@ -142,12 +146,17 @@ def _print_lines(head: dict[str, Any]) -> None:
             print(f"{line['t']:8.3f} s  {level:<5}  {event}", flush=True)
         if line["t"] - last >= 1.0:
             last = line["t"]
-            pairs = zip(short_names(head["names"]), line["tension"], strict=True)
-            tension = "  ".join(f"{name} {f:.1f}" for name, f in pairs)
-            print(
-                f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  {tension}",
-                flush=True,
-            )
+            print(_tension_lines(head["names"], line), flush=True)
+
+
+def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
+    """Return the state and the tensions of a hand. Those of many tendons continue below each other."""
+    start = f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  "
+    pairs = zip(short_names(names), line["tension"], strict=True)
+    # No line ends at a no-break space, so that a name and its value stay together.
+    text = "  ".join(f"{name}{NO_BREAK}{f:.1f}" for name, f in pairs)
+    rows = textwrap.fill(text, MAX_COLUMNS, initial_indent=start, subsequent_indent=" " * len(start))
+    return rows.replace(NO_BREAK, " ")
 
 
 def _draw_in_place(head: dict[str, Any]) -> None:
