@@ -18,7 +18,7 @@ TURN_NS = 1_000_000
 """Maximum time between two advances of the plant [ns of plant time]."""
 LATE_NS = 5 * TURN_NS
 """Delay of the plant that counts as an overrun [ns of plant time]."""
-SLIP_NS = 50_000_000
+SLIP_NS = 150_000_000
 """Delay at which the plant's clock gives up the lost time [ns of plant time]."""
 MAX_ROUNDS = 64
 """Maximum reads of the ports in one turn. The limit keeps a full wire from stopping the plant."""

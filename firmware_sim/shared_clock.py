@@ -26,7 +26,7 @@ GATE, PAUSED, SENT, ANSWERED, REACHED = 1, 2, 3, 4, 5
 COUNT = 6
 OPEN_GATE = 2**63 - 1
 """Gate without a controller."""
-SILENT_NS = 48_000_000
+SILENT_NS = 120_000_000
 """Longest wait at the gate [ns of wall time]. A controller that stays away for longer has stopped or died.
 
 It is below the delay at which the plant gives up time, and above the longest pause for a late controller.

@@ -72,7 +72,7 @@ def test_a_fast_machine_needs_no_pause(machine) -> None:
     assert machine.controller.facts() == {"clock_pauses": "0", "clock_paused_ms": "0.0"}
 
 
-@pytest.mark.parametrize("late_ms", [1, 3, 34])
+@pytest.mark.parametrize("late_ms", [1, 3, 99])
 def test_the_clock_pauses_for_a_late_controller(machine, late_ms) -> None:
     clock = machine.controller
     clock.start()
@@ -92,8 +92,8 @@ def test_ticks_of_a_controller_that_was_stopped_are_missed(machine) -> None:
     clock = machine.controller
     clock.start()
     clock.wait(0)
-    machine.overshoots = [40 * MS]
-    assert clock.wait(1) == pytest.approx(40 * MS, abs=20_000)
+    machine.overshoots = [110 * MS]
+    assert clock.wait(1) == pytest.approx(110 * MS, abs=20_000)
     assert clock.pauses == 0
 
 

@@ -37,7 +37,7 @@ OPEN_GATE = 2**63 - 1
 """Gate of a simulator without a controller."""
 TOLERATED = 0.1
 """Lateness without a pause, as a fraction of the control period."""
-CONTROLLER_LIMIT_NS = 35_000_000
+CONTROLLER_LIMIT_NS = 100_000_000
 """Longest lateness of the controller that becomes a pause [ns]. After it, the ticks are missed."""
 SIMULATOR_LIMIT_NS = 250_000_000
 """Longest wait for the simulator [ns]. After it, the frames are missing, as on a real bus."""
