@@ -3,6 +3,9 @@
     make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
     python -m tests.slow times.jsonl                                    # writes tests/slow_tests.txt
 
+    make unit HANDCTL_SLOW_S=0 PYTEST_FLAGS=--durations-file=times.jsonl    # only the tests of `make test`
+    python -m tests.slow times.jsonl --add                              # adds those that have become slow
+
 A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``: `make test` sets 0, CI sets 3, and more for
 tests on the real clock. `make nightly` and a plain pytest run all of them. The cost is processor time, and on the real
 clock elapsed time. In a sample each test function keeps its first cases up to ``FUNCTION_S`` or ``CLOCK_S``, and each
@@ -32,9 +35,14 @@ FILE_S = 15.0
 
 def slow_tests(limit_s: float) -> frozenset[str]:
     """Return the node identifiers of the listed tests that cost more than a limit [s]."""
+    return frozenset(test for test, cost_s in listed_costs().items() if cost_s > limit_s)
+
+
+def listed_costs() -> dict[str, float]:
+    """Return the cost of each listed test [s], by its node identifier."""
     lines = SLOW_TESTS.read_text(encoding="utf-8").splitlines()
     rows = [line.partition(" ") for line in lines if not line.startswith("#")]
-    return frozenset(test for cost_s, _, test in rows if float(cost_s) > limit_s)
+    return {test: float(cost_s) for cost_s, _, test in rows}
 
 
 def processor_time() -> float:
@@ -97,10 +105,15 @@ def choose(rows: list[tuple[str, float, float, bool]]) -> dict[str, float]:
     return slow
 
 
-def main(path: Path) -> None:
-    """Write the list from a file of durations."""
+def main(path: Path, add: bool) -> None:
+    """Write the list from a file of durations.
+
+    Args:
+        path: file with the times of a run.
+        add: True to keep the tests that are listed, because the run was a sample and left them out.
+    """
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    slow = choose(rows)
+    slow = choose(rows) | (listed_costs() if add else {})
     head = "# Written by `python -m tests.slow`: seconds, test. `make test` leaves these to longer runs."
     lines = [head, *(f"{slow[test]:.1f} {test}" for test in sorted(slow))]
     SLOW_TESTS.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -111,4 +124,4 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), add="--add" in sys.argv[2:])

@@ -32,6 +32,7 @@ from handctl.programs.program import Progress
 from handctl.programs.streams import StreamPlan
 from handctl.safety.judge import Counting, Latched
 from handctl.session.tasks import find_task
+from tests.conftest import NIGHTLY
 from tests.controller.bench import Bench
 from tests.controller.synthetic import interpreted
 from tests.hand.many import fifteen_motors
@@ -265,10 +266,11 @@ def test_every_constant_that_kernels_see_is_what_was_packed(hand: str | int, mon
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
 def test_every_element_of_every_field_changes_the_digest(active: Bench, field: Field) -> None:
-    """Change each element by one unit in the last place."""
+    """Change each element by one unit in the last place. Ordinary runs take 16 elements of each field."""
     state = active.state
     seen = {state.digest()}
-    for at in range(state.view(field.name).size):
+    size = state.view(field.name).size
+    for at in range(size) if NIGHTLY else sorted({*np.linspace(0, size - 1, min(size, 16), dtype=int).tolist()}):
         changed = state.copy()
         values = changed.view(field.name).reshape(-1)
         values[at] = values[at] + 1 if field.table.endswith(INT) else np.nextafter(np.nan_to_num(values[at]), 9e9)
