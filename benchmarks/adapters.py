@@ -57,10 +57,12 @@ def outcome(hand: str, adapter: str, rate: float, seed: int) -> Outcome:
 
 def _print_outcomes() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hand", default="jamia")
-    parser.add_argument("--adapters", nargs="+", choices=list(ADAPTERS), default=list(ADAPTERS))
-    parser.add_argument("--rates", nargs="+", type=float, default=[250.0, 333.0, 500.0])
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
+    parser.add_argument(
+        "--adapters", nargs="+", choices=list(ADAPTERS), default=list(ADAPTERS), help="classes of adapters"
+    )
+    parser.add_argument("--rates", nargs="+", type=float, default=[250.0, 333.0, 500.0], help="control rates [Hz]")
+    parser.add_argument("--seeds", type=int, default=1, help="number of runs for each adapter and rate (default: 1)")
     args = parser.parse_args()
     for adapter in args.adapters:
         for rate in args.rates:

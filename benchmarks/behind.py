@@ -28,7 +28,7 @@ def main() -> None:
     """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="shorter runs")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     seconds = QUICK_SECONDS if args.quick else SECONDS
     rows = []

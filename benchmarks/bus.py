@@ -36,7 +36,7 @@ def main() -> None:
     """Measure all alternatives and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--one", nargs=3, metavar=("MEDIUM", "FLOOR", "TICKS"), help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:

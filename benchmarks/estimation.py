@@ -22,7 +22,7 @@ from trials import estimation_page, page
 from trials.filters import RATES, WEIGHTS, averaged, cell_alone
 from trials.hands import CLEAR, hand_by_name
 from trials.jobs import Plan, add_options, collect, plan_of
-from trials.limits import DRIFT_N2_PER_S, limit
+from trials.limits import CELL_DRIFT_VARIANCE_N2_PER_S, limit
 from trials.lockstep import RATES_HZ, Trial, TrialRecord, run
 from trials.plants import FURTHER_OFF, PLANTS, TO_CONTACT
 from trials.script import Script, Step
@@ -129,7 +129,7 @@ def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
     noise = float(model.space.tension_noise[0])
     result |= {f"cell alone {r:g}": cell_alone(raw, period, noise, float(r)) - real for r in RATES}
     squares = {name: error**2 for name, error in result.items()}
-    drift = DRIFT_N2_PER_S * record.times[:, None]
+    drift = CELL_DRIFT_VARIANCE_N2_PER_S * record.times[:, None]
     then, now = _limits(record.hand.name, regime in ("hold", "beyond 200 N")).T
     squares |= {"limit": drift + np.square(then), "limit now": drift + np.square(now)}
     squares["sigma"] = numbers["tension_sigma"] ** 2
@@ -222,13 +222,17 @@ def show(result: dict) -> None:
 def main() -> None:
     """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under a minute: one seed, wrong stiffness only")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
-    parser.add_argument("--seeds", type=int, default=10, help="of the plant as known (default 10)")
-    parser.add_argument("--wrong-seeds", type=int, default=10, help="of each plant that is wrong (default 10)")
+    parser.add_argument("--quick", action="store_true", help="one seed, changed stiffness only (less than a minute)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument(
+        "--seeds", type=int, default=10, help="number of runs with the plant of the hand file (default: 10)"
+    )
+    parser.add_argument(
+        "--wrong-seeds", type=int, default=10, help="number of runs with each changed plant (default: 10)"
+    )
     add_options(parser)
-    parser.add_argument("--stiffness", action="store_true", help="of the wrong plants only those of stiffness")
-    parser.add_argument("--page", action="store_true", help="write its section of docs/evidence/control.md")
+    parser.add_argument("--stiffness", action="store_true", help="change only the stiffness of the plants")
+    parser.add_argument("--page", action="store_true", help="write the results into docs/evidence/control.md")
     args = parser.parse_args()
     start = time.monotonic()
     plants = list(TRIED)[:3] if args.quick or args.stiffness else list(TRIED)

@@ -26,17 +26,32 @@ STRETCH_S = 30.0
 def main() -> None:
     """Measure all parts and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under a minute: one object, 0.1 minutes of free motion")
-    parser.add_argument("--full", action="store_true", help="every object; an hour at ten seeds")
-    parser.add_argument("--grasps", default="power,pinch,hook", help="which of them, separated by commas")
-    parser.add_argument("--seeds", type=int, default=1, help="places and noise to try (1)")
     parser.add_argument(
-        "--minutes-free", type=float, default=0.0, help="of free motion a hand (quick 0.1, else 0.5, full 10)"
+        "--quick", action="store_true", help="one object, 0.1 minutes of free motion (less than a minute)"
     )
-    parser.add_argument("--parts", default="success,payload,contact,tip,slip", help="which, separated by commas")
+    parser.add_argument("--full", action="store_true", help="try every object (an hour with ten seeds)")
+    parser.add_argument(
+        "--grasps", default="power,pinch,hook", help="kinds of grasps, separated by commas (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="number of runs for each object, with other places and noise (default: 1)"
+    )
+    parser.add_argument(
+        "--minutes-free",
+        type=float,
+        default=0.0,
+        help="duration of free motion per hand [min] (default: 0.5; --quick: 0.1; --full: 10)",
+    )
+    parser.add_argument(
+        "--parts",
+        default="success,payload,contact,tip,slip",
+        help="parts of the benchmark, separated by commas (default: %(default)s)",
+    )
     add_options(parser)
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
-    parser.add_argument("--page", action="store_true", help="write the page and its picture")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument(
+        "--page", action="store_true", help="write the results into docs/evidence/control-grasps.md, with a picture"
+    )
     args = parser.parse_args()
     result = measure(args, plan_of(args))
     if args.page:

@@ -113,10 +113,12 @@ def _gain(without: dict, compensated: dict) -> str:
 def main() -> None:
     """Measure all cases, print the results, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
-    parser.add_argument("--seeds", type=int, default=10, help="of noise and drift (default 10)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument(
+        "--seeds", type=int, default=10, help="number of runs, with other noise and drift (default: 10)"
+    )
     add_options(parser)
-    parser.add_argument("--page", action="store_true", help="write the section of docs/evidence/control.md")
+    parser.add_argument("--page", action="store_true", help="write the results into docs/evidence/control.md")
     args = parser.parse_args()
     result = measure(args.seeds, plan_of(args))
     print(json.dumps(result, indent=2) if args.json else section(result))

@@ -62,8 +62,8 @@ class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 def main() -> None:
     """Measure all environments and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under half a minute")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument("--quick", action="store_true", help="short measurement (less than half a minute)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     steps = QUICK_STEPS if args.quick else STEPS
     rows = [measured(hand, name, steps) for hand in HANDS for name in SCENES]

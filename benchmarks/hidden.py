@@ -154,11 +154,11 @@ def table(results: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Measure all faults and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hand", default="jamia")
-    parser.add_argument("--protocol", default="mit", choices=GUARDED)
-    parser.add_argument("--seeds", type=int, default=1, help="runs (1)")
-    parser.add_argument("--only", default="", help="faults whose name has this")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
+    parser.add_argument("--protocol", default="mit", choices=GUARDED, help="protocol of the drives (default: mit)")
+    parser.add_argument("--seeds", type=int, default=1, help="number of runs for each fault (default: 1)")
+    parser.add_argument("--only", default="", help="only faults whose name contains this text")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     results = [row for seed in range(args.seeds) for row in rows(args.hand, args.protocol, seed, args.only)]
     print(json.dumps(results, indent=1) if args.json else table(results))

@@ -215,14 +215,14 @@ def gathered(args: argparse.Namespace) -> list[Row]:
 def main() -> int:
     """Run the seeds and print a table or JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--hand", default="jamia", help="name of a packaged hand")
-    parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--first", type=int, default=1, help="first seed")
+    parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
+    parser.add_argument("--seeds", type=int, default=4, help="number of random hands (default: 4)")
+    parser.add_argument("--first", type=int, default=1, help="seed of the first random hand (default: 1)")
     parser.add_argument(
-        "--into", type=Path, metavar="FILE", help="keep rows here, a JSON line each, and go on with them"
+        "--into", type=Path, metavar="FILE", help="file of results, a JSON line each: an interrupted run continues"
     )
-    parser.add_argument("--quick", action="store_true", help="one seed")
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--quick", action="store_true", help="one random hand")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     rows = gathered(args)
     result = summary(rows)

@@ -41,8 +41,8 @@ class Rollout(NamedTuple):
 def main() -> None:
     """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under half a minute")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument("--quick", action="store_true", help="short measurement (less than half a minute)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     result = {
         hand: {name: measure(hand, rate, name, QUICK_SECONDS if args.quick else SECONDS) for name in SCENES}

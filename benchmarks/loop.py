@@ -25,8 +25,8 @@ STEP = 0.85
 def main() -> None:
     """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under half a minute")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument("--quick", action="store_true", help="short measurement (less than half a minute)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--one", nargs=5, metavar=("WHICH", "HAND", "BUS", "SECONDS", "RATE"), help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:

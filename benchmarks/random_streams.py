@@ -23,25 +23,29 @@ Array = NDArray[np.float64]
 ANY_SPEED_DEG_S = 1e6
 """Rate of targets that leaves all limits to the controller [deg/s]."""
 WALK_STEP = 0.125
-"""Standard deviation of a step of a walk, as a fraction of the range."""
+"""Standard deviation of a step of the random walk, as a fraction of the range."""
 
 
-def noise(random: np.random.Generator, last: Array, step: int) -> Array:
+def draw_action(random: np.random.Generator, last: Array, step: int) -> Array:
     """Return a new random action."""
     return random.uniform(-1.0, 1.0, len(last))
 
 
-def steps(random: np.random.Generator, last: Array, step: int) -> Array:
+def draw_or_keep_action(random: np.random.Generator, last: Array, step: int) -> Array:
     """Return a random action that holds for some targets."""
     return random.uniform(-1.0, 1.0, len(last)) if step == 0 or random.random() < 1.0 / 17.0 else last
 
 
-def walk(random: np.random.Generator, last: Array, step: int) -> Array:
+def take_random_step(random: np.random.Generator, last: Array, step: int) -> Array:
     """Return the next action of a random walk."""
     return np.clip(last + random.normal(0.0, 2.0 * WALK_STEP, len(last)), -1.0, 1.0)
 
 
-KINDS: dict[str, Callable[[np.random.Generator, Array, int], Array]] = {"noise": noise, "steps": steps, "walk": walk}
+KINDS: dict[str, Callable[[np.random.Generator, Array, int], Array]] = {
+    "noise": draw_action,
+    "steps": draw_or_keep_action,
+    "walk": take_random_step,
+}
 
 
 def run(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
@@ -72,10 +76,12 @@ def run(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
 def main() -> None:
     """Run all combinations, and print a row per hand."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hands", nargs="*", default=list(packaged_hands()))
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--hands", nargs="*", default=list(packaged_hands()), help="packaged hands (default: all)")
+    parser.add_argument(
+        "--seeds", type=int, default=5, help="number of runs for each hand and kind of target (default: 5)"
+    )
+    parser.add_argument("--seconds", type=float, default=5.0, help="duration of a run [s] (default: 5)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     table = []
     for hand in args.hands:

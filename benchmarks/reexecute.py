@@ -24,9 +24,11 @@ GOLDEN = Path(__file__).resolve().parent.parent / "logs" / "golden"
 def main() -> None:
     """Measure all logs and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="default: those of logs/golden")
-    parser.add_argument("--quick", action="store_true", help="two passes")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument(
+        "logs", nargs="*", type=Path, metavar="LOG", help="logs to execute (default: those in logs/golden)"
+    )
+    parser.add_argument("--quick", action="store_true", help="execute each log twice")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     logs = args.logs or sorted(GOLDEN.glob("*.mcap"))
     result = {log.name: measure(log, 2 if args.quick else 10) for log in logs}

@@ -74,11 +74,17 @@ def table(results: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Run the cases that have no result yet, and write the table."""
     parser = argparse.ArgumentParser(description="the demo over many seeds")
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="0 to N - 1 (default: 20)")
-    parser.add_argument("--results", type=Path, required=True, metavar="FILE", help="a line of JSON per run")
-    parser.add_argument("--hand", nargs="+", choices=packaged_hands(), default=packaged_hands(), help="default: all")
-    parser.add_argument("--protocol", nargs="+", choices=ALL_PROTOCOLS, default=ALL_PROTOCOLS, help="default: all")
-    parser.add_argument("--table", type=Path, metavar="FILE", help="the table, into a file too")
+    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="number of seeds (default: 20)")
+    parser.add_argument(
+        "--results", type=Path, required=True, metavar="FILE", help="file of results, a JSON line per run"
+    )
+    parser.add_argument(
+        "--hand", nargs="+", choices=packaged_hands(), default=packaged_hands(), help="hands (default: all)"
+    )
+    parser.add_argument(
+        "--protocol", nargs="+", choices=ALL_PROTOCOLS, default=ALL_PROTOCOLS, help="protocols (default: all)"
+    )
+    parser.add_argument("--table", type=Path, metavar="FILE", help="write the table into this file too")
     args = parser.parse_args()
     lines = args.results.read_text().splitlines() if args.results.exists() else []
     results = [json.loads(line) for line in lines]

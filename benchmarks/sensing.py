@@ -257,9 +257,9 @@ def page(result: dict[str, Any]) -> str:
 def main() -> None:
     """Measure all cases, and print or write the result."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n", 1)[0])
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--page", action="store_true", help=f"write {PAGE.name}")
+    parser.add_argument("--seeds", type=int, default=20, help="number of runs for each hand (default: 20)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--page", action="store_true", help=f"write the results into docs/evidence/{PAGE.name}")
     args = parser.parse_args()
     result = measure(args.seeds)
     if args.page:

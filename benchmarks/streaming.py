@@ -530,14 +530,19 @@ def show(result: dict[str, Any]) -> None:
 def main() -> None:
     """Measure, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", nargs="*", help=f"some of {', '.join(PARTS)} (all)")
-    parser.add_argument("--only", nargs="+", choices=CLIENTS, default=list(CLIENTS), help="some of the clients")
+    parser.add_argument("part", nargs="*", help=f"parts of the benchmark: {', '.join(PARTS)} (default: all)")
     parser.add_argument(
-        "--time-scale", type=float, default=1.0, help="plant time per wall time, not for the latency (1)"
+        "--only", nargs="+", choices=CLIENTS, default=list(CLIENTS), help="clients of the first part (default: all)"
     )
-    parser.add_argument("--bus", default="local:streaming", help="local:NAME or socketcan:INTERFACE")
-    parser.add_argument("--quick", action="store_true", help="a short measurement of the latency")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument(
+        "--time-scale",
+        type=float,
+        default=1.0,
+        help="ratio of simulated time to wall time, except for the latency (default: 1)",
+    )
+    parser.add_argument("--bus", default="local:streaming", help="bus: local:NAME or socketcan:INTERFACE")
+    parser.add_argument("--quick", action="store_true", help="measure the latency for a short time")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--client", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.client:

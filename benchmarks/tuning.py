@@ -52,13 +52,15 @@ def main() -> int:
     """Run both searches and compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--quick", action="store_true", help="few trials, about a minute")
-    parser.add_argument("--hand", default="jamia")
-    parser.add_argument("--trials", type=int, default=48, help="of each search (default: 48)")
-    parser.add_argument("--plants", type=int, default=3, help="of the ensemble (default: 3)")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--quick", action="store_true", help="ten trials (about a minute)")
+    parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
+    parser.add_argument("--trials", type=int, default=48, help="number of trials of each search (default: 48)")
+    parser.add_argument("--plants", type=int, default=3, help="number of plants in the ensemble (default: 3)")
+    parser.add_argument("--workers", type=int, default=2, help="number of processes (default: 2)")
     parser.add_argument("--fit", type=Path, metavar="FILE", help="calibration that was identified on the real plant")
-    parser.add_argument("--into", type=Path, metavar="DIR", help="keep both studies here, and go on with them")
+    parser.add_argument(
+        "--into", type=Path, metavar="DIR", help="folder of the studies: an interrupted search continues"
+    )
     args = parser.parse_args()
     trials, plants = (10, 2) if args.quick else (args.trials, args.plants)
     result = compare(args.hand, trials, plants, args.workers, args.into, args.fit)

@@ -56,8 +56,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quick", action="store_true", help="four trials")
-    parser.add_argument("--trials", type=int, default=12, help="of each crew (default: 12)")
-    parser.add_argument("--workers", type=int, default=2, help="beside one (default: 2)")
+    parser.add_argument("--trials", type=int, default=12, help="number of trials (default: 12)")
+    parser.add_argument(
+        "--workers", type=int, default=2, help="number of workers that are compared with one worker (default: 2)"
+    )
     args = parser.parse_args()
     work = jobs(4 if args.quick else args.trials)
     (one, first), (several, second) = timed(1, work), timed(args.workers, work)

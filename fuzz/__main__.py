@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fuzz.drives import DRIVES
 
-PLACE = Path("build/fuzz")
+OUTPUT_FOLDER = Path("build/fuzz")
 DONE = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) taken)?")
 COVERED = re.compile(r"cov: (\d+) ft: (\d+)")
 NAMES = (*DRIVES, "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
@@ -22,21 +22,22 @@ LONGEST = {**dict.fromkeys(DRIVES, 64), "sensor-node": 64, "request": 256, "faul
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
-    parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(NAMES)} (default: all)")
-    parser.add_argument("--seconds", type=int, default=10,
-                        help="duration for each target (default: %(default)s; 0: no limit)")
+    parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"parsers: {', '.join(NAMES)} (default: all)")
+    parser.add_argument(
+        "--seconds", type=int, default=10, help="duration for each target (default: %(default)s; 0: no limit)"
+    )
     parser.add_argument("--runs", type=int, default=-1, help="inputs for each target (default: limited by time)")
-    parser.add_argument("--blind", action="store_true", help="mutate kept inputs without measuring branches: faster")
+    parser.add_argument("--blind", action="store_true", help="do not measure which branches an input reaches (faster)")
     args = parser.parse_args()
     if unknown := set(args.targets) - set(NAMES):
-        parser.error(f"no target {sorted(unknown)[0]!r}; expected of {', '.join(NAMES)}")
+        parser.error(f"no target {sorted(unknown)[0]!r}; expected one of {', '.join(NAMES)}")
     return args
 
 
 def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
     """Fuzz a target. Return a line about it, and False if it failed."""
-    corpus = PLACE / "corpus" / name
-    crashes = PLACE / "found" / name
+    corpus = OUTPUT_FOLDER / "corpus" / name
+    crashes = OUTPUT_FOLDER / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
     crashes.mkdir(parents=True, exist_ok=True)
     limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={LONGEST[name]}"]
@@ -46,11 +47,11 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
         command = [sys.executable, "-m", "fuzz.blind", name, str(corpus), str(crashes), str(seconds), str(runs)]
         command.append(str(LONGEST[name]))
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    (PLACE / f"{name}.txt").write_text(done.stdout + done.stderr)
+    (OUTPUT_FOLDER / f"{name}.txt").write_text(done.stdout + done.stderr)
     count = DONE.search(done.stderr)
     covered = COVERED.findall(done.stderr)
     if done.returncode or not count:
-        return f"{name:13} FAILED  see {PLACE / name}.txt and {crashes}/", False
+        return f"{name:13} FAILED  see {OUTPUT_FOLDER / name}.txt and {crashes}/", False
     number = int(count[1])
     took = max(1, int(count[2]))
     if blind and not int(count[3]):

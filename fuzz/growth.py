@@ -51,7 +51,9 @@ class Looks:
 def main() -> int:
     """Run. Returns 1 if the memory grows."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.growth", description=__doc__)
-    parser.add_argument("--hours", type=float, default=1.0, help="of simulated time (default: %(default)s)")
+    parser.add_argument(
+        "--hours", type=float, default=1.0, help="duration in simulated time [h] (default: %(default)s)"
+    )
     args = parser.parse_args()
     hand = load_hand("jamia")
     plan = Plan(hand, Gains(), 500.0, ())

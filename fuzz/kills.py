@@ -9,9 +9,14 @@ from tests.runtime.kills import Judged, batches, summary
 def main() -> int:
     """Disturb controllers. Returns 1 if a drive kept torque or a log is incomplete."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.kills", description=__doc__)
-    parser.add_argument("--times", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--time-scale", type=float, default=0.7, help="less than 1 on a busy machine")
+    parser.add_argument("--times", type=int, default=500, help="number of disturbed controllers (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
+    parser.add_argument(
+        "--time-scale",
+        type=float,
+        default=0.7,
+        help="ratio of simulated time to wall time, smaller for a busy machine (default: %(default)s)",
+    )
     args = parser.parse_args()
     runs: list[Judged] = []
     for batch in batches(args.times, args.seed, args.time_scale):

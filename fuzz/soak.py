@@ -198,11 +198,16 @@ class Soak:
 def main() -> int:
     """Run the soak. Returns 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.soak", description=__doc__)
-    parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--every", type=float, default=60.0, help="seconds from fault to fault (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--time-scale", type=float, default=1.0, help="less than 1 on a busy machine")
-    parser.add_argument("--calm", action="store_true", help="without faults: both live on, and their slopes are told")
+    parser.add_argument("--hours", type=float, default=24.0, help="duration [h] (default: %(default)s)")
+    parser.add_argument("--every", type=float, default=60.0, help="time between two faults [s] (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
+    parser.add_argument(
+        "--time-scale",
+        type=float,
+        default=1.0,
+        help="ratio of simulated time to wall time, smaller for a busy machine (default: %(default)s)",
+    )
+    parser.add_argument("--calm", action="store_true", help="inject no faults, and report the growth of the memory")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
         os.environ["HANDCTL_RUN_DIR"] = folder

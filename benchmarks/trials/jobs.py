@@ -98,9 +98,11 @@ def _through_json(result: Any) -> Any:
 
 def add_options(parser: Any) -> None:
     """Add the options of a benchmark that runs many jobs."""
-    parser.add_argument("--keep", type=Path, help="folder of single results; a run goes on where another stopped")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no further run after so long")
-    parser.add_argument("--jobs", type=int, default=0, help="processes (default: one a core)")
+    parser.add_argument("--keep", type=Path, help="folder of results: an interrupted benchmark continues")
+    parser.add_argument(
+        "--minutes", type=float, default=float("inf"), help="start no further run after this time [min]"
+    )
+    parser.add_argument("--jobs", type=int, default=0, help="number of processes (default: one per core)")
 
 
 def plan_of(args: Any) -> Plan:

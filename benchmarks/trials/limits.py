@@ -22,7 +22,7 @@ OFFSET_M = 0.2e-3
 OFFSET_S = 60.0
 CONTACT_N_M_PER_RAD = 40.0
 """Stiffness of the held object, for all joints of a digit [N m/rad]. Source of all constants: MODEL, section 5."""
-DRIFT_N2_PER_S = 1.0 / 100.0
+CELL_DRIFT_VARIANCE_N2_PER_S = 1.0 / 100.0
 """Drift of the load cells, a random walk: 1 N in 100 s. No filter can measure it while a tendon is taut."""
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 

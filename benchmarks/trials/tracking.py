@@ -219,14 +219,20 @@ def show(result: dict) -> None:
 def main() -> None:
     """Measure all cases, print the results, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under a minute: one seed, fast motion, one hand")
-    parser.add_argument("--json", action="store_true", help="numbers for programs")
-    parser.add_argument("--seeds", type=int, default=10, help="of the plant as known (default 10)")
-    parser.add_argument("--wrong-seeds", type=int, default=10, help="of each plant that is wrong (default 10)")
-    parser.add_argument("--parts", default="tracking,force", help="which of them, separated by commas")
-    parser.add_argument("--tune", action="store_true", help="try all weights again")
+    parser.add_argument("--quick", action="store_true", help="one seed, fast motion, one hand (less than a minute)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument(
+        "--seeds", type=int, default=10, help="number of runs with the plant of the hand file (default: 10)"
+    )
+    parser.add_argument(
+        "--wrong-seeds", type=int, default=10, help="number of runs with each changed plant (default: 10)"
+    )
+    parser.add_argument(
+        "--parts", default="tracking,force", help="parts of the benchmark, separated by commas (default: %(default)s)"
+    )
+    parser.add_argument("--tune", action="store_true", help="search the weights of the control laws again")
     add_options(parser)
-    parser.add_argument("--page", action="store_true", help="write its sections of docs/evidence/control.md")
+    parser.add_argument("--page", action="store_true", help="write the results into docs/evidence/control.md")
     args = parser.parse_args()
     start = time.monotonic()
     plan = plan_of(args)

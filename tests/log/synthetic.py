@@ -151,10 +151,10 @@ def write(path: Path, run: RunHeader, seconds: float, seed: int = 0) -> dict[str
 def main() -> None:
     """Write a log."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("path", type=Path)
-    parser.add_argument("--hand", default="jamia")
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--rate", type=int, default=500)
+    parser.add_argument("path", type=Path, help="log to write")
+    parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
+    parser.add_argument("--seconds", type=float, default=10.0, help="duration of the run [s] (default: 10)")
+    parser.add_argument("--rate", type=int, default=500, help="control rate [Hz] (default: 500)")
     options = parser.parse_args()
     print(write(options.path, header(options.hand, options.rate), options.seconds))
 
