@@ -15,7 +15,7 @@ from firmware_sim.printing import one_line
 
 ROOTS = {"urdf": "robot", "mjcf": "mujoco"}
 """First element of each format."""
-NAMED = (".urdf", ".xml")
+MODEL_SUFFIXES = (".urdf", ".xml")
 """Endings of the files that MuJoCo reads."""
 URDF_JOINTS = ("revolute", "continuous", "fixed")
 """Joint types of URDF that a hand can have."""
@@ -25,9 +25,9 @@ OTHER_JOINTS = {
     mujoco.mjtJoint.mjJNT_SLIDE: "a prismatic joint",
 }
 """Joint types of MuJoCo that a hand cannot have."""
-ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE)
+ROUND_SHAPES = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE)
 """Shapes with a radius. The first of them that a link has gives the radius of the link."""
-CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 """Corners of a box with the half extents 1."""
 
 
@@ -158,7 +158,7 @@ def _model(spec: Any) -> Any:
 
 def _parsed(path: str) -> Any:
     """Parse the file. MuJoCo reads files of other names only as a text."""
-    if Path(path).suffix in NAMED:
+    if Path(path).suffix in MODEL_SUFFIXES:
         return mujoco.MjSpec.from_file(path)
     spec = mujoco.MjSpec.from_string(Path(path).read_text(encoding="utf-8"))
     spec.modelfiledir = str(Path(path).parent)
@@ -326,9 +326,9 @@ def _shapes(
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         axes = data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
         place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
-        corners.append((place + (centre + CORNERS * half) @ axes.T - origin) @ turn)
-        rank = ROUND.index(kind) if kind in ROUND else len(ROUND)
-        width = float(model.geom_size[geom, 0]) if kind in ROUND else float(np.sort(half)[:2].mean())
+        corners.append((place + (centre + BOX_CORNERS * half) @ axes.T - origin) @ turn)
+        rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
+        width = float(model.geom_size[geom, 0]) if kind in ROUND_SHAPES else float(np.sort(half)[:2].mean())
         radii[rank] = max(radii.get(rank, 0.0), width)
     if not corners:
         return [], None

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 REPORT_PERIOD_S = 1.0
 """Minimum time between two reports [s]."""
-SEVERAL = 3
+SLOW_MACHINE_SLIPS = 3
 """Slips in one report period that mean a slow machine. Fewer slips are a short stop."""
 CORE_FRACTION = 0.5
 """Fraction of a core for the simulator. Controller, recorder and system need the rest."""
-MARGIN = 0.8
+ADVISED_FRACTION = 0.8
 """Advised pace as a fraction of the measured pace."""
 
 
@@ -87,7 +87,7 @@ class Pace:
         now = self._at(plant_ns)
         if now.wall_s - self._reported_s < REPORT_PERIOD_S:
             return
-        if self._slips >= SEVERAL:
+        if self._slips >= SLOW_MACHINE_SLIPS:
             self._advise(now)
             self._report_line(self._too_slow(now.wall_s - self._mark.wall_s))
         else:
@@ -114,7 +114,9 @@ class Pace:
     def _advise(self, now: Mark) -> None:
         """Update the advice from the pace since the last report."""
         measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
-        advice = MARGIN * min(measured, CORE_FRACTION * _ratio(self._mark, now) * (1 if len(_cores()) == 1 else 2))
+        advice = ADVISED_FRACTION * min(
+            measured, CORE_FRACTION * _ratio(self._mark, now) * (1 if len(_cores()) == 1 else 2)
+        )
         self.advice = rounded_down(advice) if self.advice is None else min(self.advice, rounded_down(advice))
 
     def _at(self, plant_ns: int) -> Mark:

@@ -1,6 +1,6 @@
 """Text for users: one line, printable and of bounded length, independent of quoted files and arguments."""
 
-LONGEST = 500
+MAX_MESSAGE_LENGTH = 500
 """Maximum length of a message [characters]."""
 LEFT_OUT = " [...] "
 """Replacement for the middle of a longer message."""
@@ -19,10 +19,10 @@ def one_line(text: str) -> str:
     The start of a message names the problem, and the end names the remedy. Therefore only the middle of a
     long text is removed.
     """
-    if len(text) > 4 * LONGEST:  # Escapes make a text longer, never shorter.
-        text = text[: 2 * LONGEST] + text[-2 * LONGEST :]
+    if len(text) > 4 * MAX_MESSAGE_LENGTH:  # Escapes make a text longer, never shorter.
+        text = text[: 2 * MAX_MESSAGE_LENGTH] + text[-2 * MAX_MESSAGE_LENGTH :]
     line = printable(text)
-    if len(line) <= LONGEST:
+    if len(line) <= MAX_MESSAGE_LENGTH:
         return line
-    end = LONGEST // 3
-    return line[: LONGEST - end - len(LEFT_OUT)] + LEFT_OUT + line[-end:]
+    end = MAX_MESSAGE_LENGTH // 3
+    return line[: MAX_MESSAGE_LENGTH - end - len(LEFT_OUT)] + LEFT_OUT + line[-end:]

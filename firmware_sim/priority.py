@@ -7,13 +7,13 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-LEVEL = 50
+PRIORITY = 50
 """Priority below a controller's 60, so that the simulator never delays the host past its deadline."""
-ORDINARY_S = 5.0
+ORDINARY_PRIORITY_S = 5.0
 """Time without real-time priority after the plant fell behind its clock [s]."""
-SEVERAL = 3
-"""Slips within ``WITHIN_S`` that end the priority."""
-WITHIN_S = 1.0
+MAX_SLIPS = 3
+"""Slips within ``SLIP_WINDOW_S`` that end the priority."""
+SLIP_WINDOW_S = 1.0
 """Time span of these slips [s]."""
 
 
@@ -26,7 +26,7 @@ def take_priority() -> bool:
     if not sys.platform.startswith("linux"):
         return False
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(LEVEL))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     except OSError:
         return False
     return True
@@ -43,7 +43,7 @@ class RealTimePriority:
 
     A simulator that is behind is always busy. With real-time priority it would leave almost no time
     to a controller on the same core that still imports and has no such priority yet. The priority
-    is therefore taken with the first frame of a host. It is given back for ``ORDINARY_S`` if the
+    is therefore taken with the first frame of a host. It is given back for ``ORDINARY_PRIORITY_S`` if the
     plant falls behind repeatedly. A single stop of the machine does not count.
 
     Attributes:
@@ -68,13 +68,13 @@ class RealTimePriority:
         self._now_s = now_s
         self.active = False
         self._not_before_s = -math.inf
-        self._slips_s: deque[float] = deque(maxlen=SEVERAL)
+        self._slips_s: deque[float] = deque(maxlen=MAX_SLIPS)
 
     def note_host_frames(self) -> None:
         """Take the priority because frames of a host arrived."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()
-            self._not_before_s = self._now_s() + ORDINARY_S  # Do not retry in every turn after a refusal.
+            self._not_before_s = self._now_s() + ORDINARY_PRIORITY_S  # Do not retry in every turn after a refusal.
 
     def note_slip(self) -> None:
         """Count a slip of the plant, and give the priority back after several."""
@@ -82,8 +82,8 @@ class RealTimePriority:
             return
         now_s = self._now_s()
         self._slips_s.append(now_s)
-        if len(self._slips_s) == SEVERAL and now_s - self._slips_s[0] <= WITHIN_S:
+        if len(self._slips_s) == MAX_SLIPS and now_s - self._slips_s[0] <= SLIP_WINDOW_S:
             self._restore()
             self.active = False
-            self._not_before_s = now_s + ORDINARY_S
+            self._not_before_s = now_s + ORDINARY_PRIORITY_S
             self._slips_s.clear()

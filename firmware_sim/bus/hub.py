@@ -145,7 +145,7 @@ class Hub:
         return [self._listener, *(link.socket for link in self._links)]
 
     def writers(self) -> list[socket.socket]:
-        """Return the sockets to poll for writing: those of clients with an unsent rest of a record."""
+        """Return the sockets to poll for writing: those of the clients to which a part of a record is still unsent."""
         return [link.socket for link in self._links if link.unsent]
 
     def serve(self, ready: Collection[socket.socket]) -> bytes:

@@ -21,7 +21,7 @@ from firmware_sim.nodes.sensors import CHANNELS, JOINT_OFFSET
 Undo = Callable[[], None]
 RAIL_N = 1e4
 """Tension beyond the range of every load cell [N]."""
-BLOCK = 1e3
+BLOCKED_JOINT_DAMPING = 1e3
 """Damping of a blocked joint [N m s/rad]."""
 ERRORS = {
     "error": (FeedbackState.WINDING_HOT, 1 << 13, 0x4310, moteus.OVER_TEMPERATURE, robstride.HOT),
@@ -161,7 +161,9 @@ def _start_block(world: Any, active: ActiveFault) -> Undo:
     """Block all joints of a digit."""
     digit = next(digit for digit in world.hand.digits if digit.name == active.fault.instance)
     active.note_effect(world.t_ns)
-    release: Undo = world.plant.engine.brake([world.hand.joints.index(joint) for joint in digit.joints], BLOCK)
+    release: Undo = world.plant.engine.brake(
+        [world.hand.joints.index(joint) for joint in digit.joints], BLOCKED_JOINT_DAMPING
+    )
     return release
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:  # Not imported at run time: the program ``bus`` has no faults
     from firmware_sim.faults.active import Faults
     from firmware_sim.pace import Pace
 
-LONGEST = 4096
+MAX_REQUEST_BYTES = 4096
 """Maximum length of a request [bytes]."""
 
 
@@ -65,7 +65,7 @@ class FaultSocket:
         """
         while True:
             try:
-                request_bytes, client = self._socket.recvfrom(LONGEST)
+                request_bytes, client = self._socket.recvfrom(MAX_REQUEST_BYTES)
             except (BlockingIOError, ConnectionError):
                 return
             answer = json.dumps(self._answer(request_bytes, pace)).encode()

@@ -61,7 +61,7 @@ def drive_spec(
 
 
 def _check_type(protocol: str, motor_type: str) -> None:
-    """Check that a protocol has a motor type. Every type of an MIT mode is valid for ``mit``.
+    """Check that a protocol has a motor type. ``mit`` accepts the motor types of all protocols with an MIT mode.
 
     Raises:
         SimulatorError: the type does not exist, or has another protocol.

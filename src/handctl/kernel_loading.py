@@ -7,7 +7,7 @@ function, which other functions need to inline it. A program that finds all kern
 compiles nothing, and needs none of them. numba registers its types if it compiles later, and the
 bitcode of a kernel is parsed if another kernel calls it.
 
-These steps are internal to numba. They are left out for the versions in ``KNOWN`` alone.
+These steps are internal to numba. They are left out only for the versions of numba in ``TESTED_VERSIONS``.
 """
 
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from numba.core import codegen as _codegen
 from numba.core import environment as _environment
 from numba.core import runtime as _runtime
 
-KNOWN = ((0, 68),)
+TESTED_VERSIONS = ((0, 68),)
 """Versions of numba for which these steps were left out in a test."""
 
 codegen: Any = _codegen
@@ -38,7 +38,7 @@ def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
         types: numba types of the arguments.
     """
     version: Any = numba.version_info
-    if version.short not in KNOWN:
+    if version.short not in TESTED_VERSIONS:
         return
     context = dispatcher.targetctx
     with _without_compiler(context):
@@ -51,7 +51,7 @@ def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
 @contextmanager
 def _without_compiler(context: Any) -> Iterator[None]:
     """Let numba load stored code without registering types and without parsing bitcode, inside this context."""
-    runtime.rtsys.initialize(context)  # counts references to arrays. Otherwise the registration does this
+    runtime.rtsys.initialize(context)  # counts references to arrays. numba does this when it registers its types
     library: Any = codegen.CPUCodeLibrary
     before = library.__dict__["_unserialize"]
     library._unserialize = classmethod(_load_object_code)

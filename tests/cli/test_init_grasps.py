@@ -27,7 +27,7 @@ CASES = [
 ]
 SAMPLE = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1)]
 """Both dropped the cylinder when it was of one size for all hands, and tips met."""
-SLID_MM = 5.0
+MAX_SLIP_MM = 5.0
 
 
 def init(*words: str) -> None:
@@ -47,7 +47,7 @@ def test_new_hand_grasps_holds_and_releases(
     assert code == 0, err
     result = json.loads(out)
     assert result["table_sunk_mm"] > 50.0
-    assert result["object_slid_mm"] < SLID_MM
+    assert result["object_slid_mm"] < MAX_SLIP_MM
     truth = read_truth(place / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert forces

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import handctl as library
-from handctl.cli.console.begin import age_text
+from handctl.cli.console.motion_confirmation import age_text
 from handctl.cli.main import main
 from handctl.hand.load import load_hand
 from handctl.runtime.buses.open import real_buses

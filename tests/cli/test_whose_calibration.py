@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from handctl.cli.console.begin import announce
+from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.plan import make_plan
 from handctl.cli.main import main
 from handctl.core.types import Mode
@@ -76,7 +76,7 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     assert "the calibration is another hand's, name this one's or commission it" in outcome.state.failure
     for name, text in calibration.drive.items():
         assert f"{name} is drive " in outcome.state.failure
-        assert f"calibrated was {text}" in outcome.state.failure
+        assert f"but was calibrated with drive {text}" in outcome.state.failure
     assert "\n" not in outcome.state.failure
     assert [text.partition(":")[0] for text in modes(place / "other.mcap")][-1] == "READY -> DONE", "never armed"
     for one in (first, second):
@@ -88,7 +88,7 @@ def test_replaced_drive_is_named_before_arming(place):
     motor = load_hand(str(hand)).motor[0].name
     before, after = Bench(place, hand, FIRST), Bench(place, hand, (*FIRST, f"{motor}=0x77"))
     failure = after.jog(before.commission("before"), "after").state.failure
-    assert failure.startswith(f"{motor} is drive 0x77, calibrated was 0x40")
+    assert failure.startswith(f"{motor} is drive 0x77, but was calibrated with drive 0x40")
     assert failure.count(" is drive ") == 1
     for one in (before, after):
         one.peer.close()
@@ -113,7 +113,7 @@ def test_a_file_of_an_earlier_version_is_taken_with_one_line(place, capsys):
     old = load_calibration(path, bench.plan.hand)
     capsys.readouterr()
     bench.args.calibration = path
-    announce(bench.args, bench.plan, path, old)
+    announce_motion(bench.args, bench.plan, path, old)
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert f"caution: {path} does not name the drives it was made with" in err

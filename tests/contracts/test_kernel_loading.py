@@ -19,7 +19,7 @@ from numba import njit
 square = compiled.square
 print("linked", njit(lambda value: square(value) + 1.0)(3.0))
 """
-UNKNOWN = "from handctl import kernel_loading\nkernel_loading.KNOWN = ()\n"
+UNKNOWN = "from handctl import kernel_loading\nkernel_loading.TESTED_VERSIONS = ()\n"
 
 pytestmark = pytest.mark.skipif(compiled._FOLDER is None, reason="no folder for compiled code")
 
@@ -43,4 +43,4 @@ def test_other_versions_of_numba_load_in_their_own_way() -> None:
 def test_the_installed_version_is_known() -> None:
     """A new version of numba needs a look at the steps in ``kernel_loading``."""
     version: object = numba.version_info
-    assert getattr(version, "short", None) in kernel_loading.KNOWN
+    assert getattr(version, "short", None) in kernel_loading.TESTED_VERSIONS

@@ -42,8 +42,11 @@ def jacobians(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.
 
 
 def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
-    """Spectral density of the noise on the states, by what drives them: a Gauss-Markov state of sigma and tau has
-    2 sigma^2 / tau, a walk sigma^2 / tau; what shakes the spool shakes the free digit that follows it."""
+    """Return the spectral density of the process noise (STATES, STATES).
+
+    A Gauss-Markov state with standard deviation sigma and time constant tau has 2 sigma^2 / tau, a random
+    walk has sigma^2 / tau. A free digit follows the spool, so the noise of the spool acts on it too.
+    """
     space, gains = model.space, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
     spool = np.zeros(STATES)
@@ -87,9 +90,7 @@ def measurement_noise(model: HandModel, i: int) -> np.ndarray:
     return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
 
 
-def covariance_by_doubling(
-    F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray
-) -> np.ndarray:
+def covariance_by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Return the steady-state covariance of the prediction by structured doubling (Anderson 1978)."""
     A, G, P = F.T, H.T @ np.linalg.solve(R, H), Q
     for _ in range(60):
@@ -108,9 +109,7 @@ def assumed_measurements(block: Block, regime: Regime) -> np.ndarray:
     return H
 
 
-def joseph_update(
-    block: Block, P: np.ndarray, missing: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def joseph_update(block: Block, P: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return gain (7, 2) and covariance after an update by encoder and load cell. A mask (2,) marks those present.
 
     The load cell's error is told from tension in slack only: elsewhere it is not corrected, and goes on to count.

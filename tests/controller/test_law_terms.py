@@ -24,14 +24,14 @@ from tests.controller.synthetic import (
     slack,
 )
 
-AT_S = 0.25
-"""On a way of one second: it accelerates, and is on its way."""
+EVALUATED_S = 0.25
+"""Time of the evaluation in a motion of one second [s]. The motion still accelerates."""
 
 
 def force(model: HandModel, estimate: Estimate, goals: tuple[DigitGoal, ...]) -> np.ndarray:
     """Return the motor force at the tendon, (N,) [N]."""
     state = LawState.idle(estimate.tension)
-    return step(model, state, estimate, goals, AT_S)[1].torque / model.space.spool
+    return step(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_the_planned_acceleration_is_fed_forward(model: HandModel, way: tuple[Di
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
     for digit, tendons, goal in zip(model.digits, model.digit_tendons, way, strict=True):
-        acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(AT_S)[2]
+        acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(EVALUATED_S)[2]
     found = force(model, there, way) - force(other, there, way)
     assert (acceleration > 0.0).all()
     np.testing.assert_allclose(
@@ -75,9 +75,7 @@ def test_the_planned_acceleration_is_fed_forward(model: HandModel, way: tuple[Di
 def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> None:
     there = estimate_under_tension(model, 20.0)
     off = there._replace(disturbance=np.full(model.tendon_count, 0.5))
-    change = force(model, off, holding_goals(model, 20.0)) - force(
-        model, there, holding_goals(model, 20.0)
-    )
+    change = force(model, off, holding_goals(model, 20.0)) - force(model, there, holding_goals(model, 20.0))
     np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
 
 
@@ -107,7 +105,7 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
 
 def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
     there = estimate_under_tension(model, 20.0)
-    command = step(model, LawState.idle(there.tension), there, holding_goals(model, 20.0), AT_S)[1]
+    command = step(model, LawState.idle(there.tension), there, holding_goals(model, 20.0), EVALUATED_S)[1]
     joints = len(model.hand.joints)
     assert [np.isnan(goal).tolist() for goal in (command.q, command.dq)] == [[True] * joints] * 2
 
@@ -120,14 +118,14 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
         model.motion,
     )
     state = LawState.idle(there.tension)
-    before = step(model, state, there, goals, AT_S)[1].torque / model.space.spool
+    before = step(model, state, there, goals, EVALUATED_S)[1].torque / model.space.spool
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
         ("speed", 1e-3, -design.tension_speed),
         ("tension", 0.4, -design.tension * integral),
     ):
         off = there._replace(**{name: getattr(there, name) + size})
-        after = step(model, state, off, goals, AT_S)[1].torque / model.space.spool
+        after = step(model, state, off, goals, EVALUATED_S)[1].torque / model.space.spool
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, err_msg=name)
 
 
@@ -141,7 +139,7 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     goals = tuple(replace(goal, trajectory=one, since=since) for goal, one in zip(still, ways, strict=True))
     speed, acceleration = np.zeros((2, model.tendon_count))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, ways, strict=True):
-        speed[tendons], acceleration[tendons] = one.at(AT_S - since)[1:] @ digit.reduced_moment_arms.T
+        speed[tendons], acceleration[tendons] = one.at(EVALUATED_S - since)[1:] @ digit.reduced_moment_arms.T
     needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
     needed += (model.motion.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(force(model, there, goals) - force(model, there, still), needed, rtol=1e-9)
@@ -156,30 +154,32 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(m
     there = slack(model)
     state = LawState.idle(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
-    loose = step(model, state, there, goals, AT_S)[1].torque
-    taut = step(model, state, there._replace(slack=np.zeros(model.tendon_count, dtype=bool)), goals, AT_S)[1].torque
+    loose = step(model, state, there, goals, EVALUATED_S)[1].torque
+    taut = step(model, state, there._replace(slack=np.zeros(model.tendon_count, dtype=bool)), goals, EVALUATED_S)[
+        1
+    ].torque
     np.testing.assert_allclose((loose - taut) / model.space.spool, model.space.coulomb, rtol=0.02)
 
 
 def test_the_goal_tension_of_a_motion_stays_within_its_limit(
     model: HandModel, way: tuple[DigitGoal, ...], there: Estimate
 ) -> None:
-    free = step(model, LawState.idle(there.tension), there, way, AT_S)[1].tension
+    free = step(model, LawState.idle(there.tension), there, way, EVALUATED_S)[1].tension
     most = 0.5 * free
-    held = step(model, LawState.idle(there.tension), there, way, AT_S, np.maximum(most, model.floor))[1].tension
+    held = step(model, LawState.idle(there.tension), there, way, EVALUATED_S, np.maximum(most, model.floor))[1].tension
     np.testing.assert_allclose(held, np.maximum(most, model.floor))
 
 
 def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -> None:
     there = estimate_under_tension(model, 10.0)
-    command = step(model, LawState.idle(there.tension), there, (DigitGoal(),) * len(model.digits), AT_S)[1]
+    command = step(model, LawState.idle(there.tension), there, (DigitGoal(),) * len(model.digits), EVALUATED_S)[1]
     assert not command.joint_torque.any()
     assert np.isnan(command.tension).all()
 
 
 def test_only_moving_digits_have_goal_angles(model: HandModel, there: Estimate) -> None:
     goals = (*moving_goals(model, 0.4, 0.6, 1.0)[:2], *holding_goals(model, 12.0)[2:])
-    law, command = step(model, LawState.idle(there.tension), there, goals, AT_S)
+    law, command = step(model, LawState.idle(there.tension), there, goals, EVALUATED_S)
     tendons, joints = model.digit_tendons[1].stop, model.digits[1].joints.stop
     for angles in (command.q, command.dq):
         assert np.isfinite(angles[:joints]).all()

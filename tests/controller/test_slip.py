@@ -12,7 +12,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Event
 from handctl.programs import grip
 from handctl.programs.grasp import TaskProgram
-from handctl.programs.grip import OPENING_M, Grip, GripPlan, advance_grip
+from handctl.programs.grip import SLIP_EXCURSION_M, Grip, GripPlan, advance_grip
 from handctl.programs.task import Task
 from tests.controller.plant_run import run_on_plant
 from tests.controller.synthetic import Estimate, active_state, detect_contacts, estimate_under_tension
@@ -61,10 +61,10 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
     held = GraspRun(model, limit=30.0)
     held.tick(held.quiet, 1.0)
     assert not held.events
-    held.tick(held.moved(-3 * OPENING_M), 0.06)
+    held.tick(held.moved(-3 * SLIP_EXCURSION_M), 0.06)
     assert [event.where for event in held.events] == [model.hand.digit_names[0]]
     for goal in held.goals[:-1]:
-        np.testing.assert_allclose(goal.tension, grip.STEP * TENSION_N)
+        np.testing.assert_allclose(goal.tension, grip.ANSWER_FACTOR * TENSION_N)
     assert held.goals[-1].kind == Kind.LIMP, "what does not hold is left alone"
 
 
@@ -72,7 +72,7 @@ def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None
     held = GraspRun(model, limit=26.0)
     held.tick(held.quiet, 1.0)
     for step in range(1, 8):
-        held.tick(held.moved(-3 * step * OPENING_M), 0.5)
+        held.tick(held.moved(-3 * step * SLIP_EXCURSION_M), 0.5)
     assert held.tension == pytest.approx(26.0)
     assert [("no more" in event.text) for event in held.events] == [False, False, True]
 
@@ -80,20 +80,20 @@ def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None
 def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -> None:
     held = GraspRun(model)
     held.tick(held.quiet, 1.0)
-    held.tick(held.moved(-3 * OPENING_M), 0.5)
+    held.tick(held.moved(-3 * SLIP_EXCURSION_M), 0.5)
     assert [event.level for event in held.events] == ["warn"]
     assert held.tension == TENSION_N
 
 
 def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
     held = GraspRun(model, limit=30.0)
-    held.tick(held.moved(-5 * OPENING_M), 0.2)
+    held.tick(held.moved(-5 * SLIP_EXCURSION_M), 0.2)
     held.tick(held.quiet, 1.0)
-    held.tick(held.moved(5 * OPENING_M), 1.0)
+    held.tick(held.moved(5 * SLIP_EXCURSION_M), 1.0)
     chance = np.random.default_rng(1)
     for k in range(round(20.0 / model.period)):
         creep = -0.02e-3 * k * model.period
-        held.tick(held.moved(5 * OPENING_M + creep + chance.normal(0.0, 3.5e-6)), model.period)
+        held.tick(held.moved(5 * SLIP_EXCURSION_M + creep + chance.normal(0.0, 3.5e-6)), model.period)
     assert not held.events
 
 

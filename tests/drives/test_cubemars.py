@@ -95,7 +95,7 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(bench: Bench, error: Error
 
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
     """An AK80-9 obeys 18 N m, so only the host limits its torque to the limit of the hand."""
-    told = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_guards)
+    told = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections)
     for guard in ("watchdog", "no torque limit", "2% of full-scale torque", "ranges cannot be read back"):
         assert guard in told
 

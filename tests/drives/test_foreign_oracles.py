@@ -34,7 +34,7 @@ def dbc() -> cantools.database.can.Database:
         ("Heartbeat", codec.HEARTBEAT),
         ("Estop", codec.ESTOP),
         ("Set_Axis_State", codec.SET_AXIS_STATE),
-        ("Get_Encoder_Estimates", codec.ENCODER),
+        ("Get_Encoder_Estimates", codec.ENCODER_ESTIMATES),
         ("Set_Controller_Mode", codec.SET_MODE),
         ("Set_Input_Torque", codec.SET_TORQUE),
         ("Set_Limits", codec.SET_LIMITS),

@@ -25,7 +25,7 @@ def test_odrive_05_with_watchdog_passes_conformance():
     rig = rig_on(place, "odrive", 0.1, OLD)
     results = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
     assert [check for check in results if check.verdict is not CheckVerdict.PASSED] == []
-    assert len(rig.drive.unverified_guards) == 2
+    assert len(rig.drive.unverified_protections) == 2
     assert 0.0 < place.top <= 0.1001
 
 

@@ -169,11 +169,11 @@ def test_a_watchdog_that_cannot_be_verified_is_reported(tmp_path: Path) -> None:
     path = hand_file(tmp_path, ["odrive"])
     bench = Bench(path)
     assert isinstance(bench.drives[0], OdriveDrive)
-    assert bench.drives[0].unverified_guards == ()
+    assert bench.drives[0].unverified_protections == ()
     path.write_text(path.read_text().replace(OPTIONS["odrive"], ""))
     bare = Bench(path).drives[0]
     assert isinstance(bare, OdriveDrive)
-    assert "watchdog not verified" in bare.unverified_guards[0]
+    assert "watchdog not verified" in bare.unverified_protections[0]
 
 
 def test_another_protocol_version_is_refused(odrive: Bench) -> None:

@@ -129,7 +129,7 @@ def test_no_numbers_share_an_identifier() -> None:
     assert drive_of(host_id=0).node_ids == {0}
     drive = drive_of()
     assert (drive.node_ids, drive.host_ids) == ({0x15}, {0x05, 0x105, 0x205})
-    assert len(drive.unverified_guards) == 4
+    assert len(drive.unverified_protections) == 4
 
 
 def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> None:

@@ -204,7 +204,7 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
     assert result.tension < 30.0
 
 
-def test_true_tension_stays_within_what_drive_and_momentum_explain():
+def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """A drive that runs away against a grasped object.
 
     Bound: the drive's limit F pushes the rotor (mass m at the tendon) against the tendon stiffness k, from the
@@ -228,8 +228,8 @@ def test_true_tension_stays_within_what_drive_and_momentum_explain():
     assert at < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"
 
 
-def test_a_drive_that_does_not_relax_is_cut_though_its_load_cell_is_at_its_rail():
-    """An ODrive without torque feedback, and load cells that saturate below the limit of an immediate cut."""
+def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
+    """Use an ODrive without torque feedback. Its load cell saturates below the tension that causes an immediate cut."""
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
     with homed_run(hand, 400.0, 0) as simulation:

@@ -11,7 +11,7 @@ from firmware_sim.bus.local import HubPort, JoinedPort
 from firmware_sim.bus.ports import assign, open_port
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.pace import Pace, rounded_down
-from firmware_sim.priority import ORDINARY_S, RealTimePriority
+from firmware_sim.priority import ORDINARY_PRIORITY_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.server import LATE_NS, SLIP_NS, STRIDE_NS, ScaledClock, Server
 from firmware_sim.world import World
@@ -176,7 +176,7 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
     assert not granted.active
     priority.note_host_frames()
     assert not granted.active, "not at once again"
-    granted.now_s += ORDINARY_S
+    granted.now_s += ORDINARY_PRIORITY_S
     priority.note_host_frames()
     assert granted.active
 

@@ -120,7 +120,7 @@ def test_no_two_sections_share_a_list() -> None:
     assert content["digit"][1] == {**hand_content("jamia")["digit"][1]}
 
 
-def test_a_resolution_leaves_the_content_as_it_is() -> None:
+def test_resolving_templates_does_not_change_its_argument() -> None:
     content = jamia()
     before = copy.deepcopy(content)
     resolve_templates(content)

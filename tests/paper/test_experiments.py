@@ -91,7 +91,9 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     report, figures = tmp_path / "out.html", tmp_path / "figures"
     words = ["paper", "--json", "--output", str(report), "--figures", str(figures)]
     begun = time.monotonic()
-    done = subprocess.run([sys.executable, "-c", MAIN, *words], capture_output=True, text=True, cwd=ROOT, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", RUN_HANDCTL, *words], capture_output=True, text=True, cwd=ROOT, check=True
+    )
     assert time.monotonic() - begun < 180.0
     items: list[dict[str, Any]] = json.loads(done.stdout)
     kept = {item.id: item.computed for item in sections.page_items(experiments.load_results(RESULTS))}
@@ -106,4 +108,4 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     assert not math.isnan(sum(item["computed"] for item in payloads))
 
 
-MAIN = "import sys; from handctl.cli.main import main; sys.exit(main(sys.argv[1:]))"
+RUN_HANDCTL = "import sys; from handctl.cli.main import main; sys.exit(main(sys.argv[1:]))"

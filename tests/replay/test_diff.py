@@ -95,7 +95,7 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
 
 
 def test_unknown_differences_are_not_printed() -> None:
-    """Phases of one or two ticks have no difference. A run that is ahead is not "-10 ms behind"."""
+    """For phases of one or two ticks the differences are NaN. A run that is ahead is not "-10 ms behind"."""
     unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     ahead = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
     with_it = ahead | {"delay_s": -1e-6}

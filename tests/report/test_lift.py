@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.report.lift import SLID_MM, judge_lift, lift_failure
+from handctl.report.lift import MAX_SLIP_MM, judge_lift, lift_failure
 from handctl.report.summary import summarise
 from handctl.report.truth import TruthRecord
 from tests.report.made_up import JAMIA, MadeUpLog, set_column, truth_of
@@ -48,7 +48,7 @@ def test_an_object_that_falls_with_its_table_is_a_failure() -> None:
 
 @pytest.mark.parametrize("side", [-0.5, 0.5])
 def test_an_object_may_slide_by_the_limit_and_no_farther(side: float) -> None:
-    lift = lift_result(*log_and_truth_of_lift(0.2, (SLID_MM + side) * 1e-3), "carry")
+    lift = lift_result(*log_and_truth_of_lift(0.2, (MAX_SLIP_MM + side) * 1e-3), "carry")
     assert bool(lift_failure(lift)) == (side > 0)
 
 

@@ -18,7 +18,7 @@ def quiet() -> MadeUpLog:
     return log
 
 
-def holding(ramp: int = 20) -> MadeUpLog:
+def hold_log(ramp: int = 20) -> MadeUpLog:
     """Create a run of four seconds: home, then a hold with a rising target, index and thumb in contact."""
     log = MadeUpLog(JAMIA, 400, {0: "home", 100: "hold", 300: "release"})
     for name in ("tension", "tension_raw", "tip_force"):
@@ -41,7 +41,7 @@ def test_ticks_misses_and_lateness() -> None:
 
 
 def test_summary_without_truth_has_nan() -> None:
-    result = summarise(holding(), JAMIA, None, 0)
+    result = summarise(hold_log(), JAMIA, None, 0)
     for name in (
         "tracking_rmse_rad",
         "tension_rmse_n",
@@ -55,7 +55,7 @@ def test_summary_without_truth_has_nan() -> None:
 
 def test_a_truth_of_another_time_is_no_truth() -> None:
     """An earlier simulator left its file behind on the same bus."""
-    log = holding()
+    log = hold_log()
     result = summarise(log, JAMIA, truth_of(JAMIA, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
     assert result["contact_force_n"] == {}
@@ -116,9 +116,9 @@ def test_slack_tendons_do_not_count() -> None:
 
 
 def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None:
-    (window,) = hold_windows(holding(ramp=20))
+    (window,) = hold_windows(hold_log(ramp=20))
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
-    none = holding()
+    none = hold_log()
     none.fields["contact"][:] = 0.0
     assert not np.any(hold_windows(none)), "nobody holds anything"
     two = MadeUpLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold firmly"})
@@ -129,7 +129,7 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
 
 
 def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle() -> None:
-    log = holding(ramp=20)
+    log = hold_log(ramp=20)
     log.fields["tension_goal"][100:300] += np.where(np.arange(200) % 2, 0.1, -0.1)[:, None]
     (window,) = hold_windows(log)
     assert np.flatnonzero(window).tolist()[-1] == 299
@@ -137,7 +137,7 @@ def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle
 
 
 def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
-    log, truth = holding(), truth_of(JAMIA, 400)
+    log, truth = hold_log(), truth_of(JAMIA, 400)
     index, middle, _, thumb = JAMIA.tendon_names
     wave = np.where(np.arange(400) % 2, 1.5, -1.5)
     set_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
@@ -149,7 +149,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
 
 
 def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
-    log, truth = holding(), truth_of(JAMIA, 400)
+    log, truth = hold_log(), truth_of(JAMIA, 400)
     log.fields["tip_force"][:, 0] = np.where(np.arange(400) < 169, 99.0, 3.0)
     set_column(truth, "contact_force/index/x", np.where(np.arange(400) < 169, 50.0, 3.0))
     set_column(truth, "contact_force/index/y", np.where(np.arange(400) < 169, 50.0, 4.0))
@@ -160,7 +160,7 @@ def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
 
 
 def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> None:
-    log, truth = holding(), truth_of(JAMIA, 400)
+    log, truth = hold_log(), truth_of(JAMIA, 400)
     x = np.zeros(400)
     x[:169] = 0.050  # before the hold
     x[200], x[201] = 3e-4, -4e-4

@@ -22,9 +22,9 @@ def ip_output(nominal: int | None, data: int | None) -> str:
         (1_000_000, None, None, ""),
         (1_000_000, 5_000_000, 5_000_000, ""),
         (1_000_000, 5_000_000, None, ""),
-        (500_000, None, None, "can0 runs at 500000 bit/s, the hand file says 1000000"),
+        (500_000, None, None, "can0 has a bit rate of 500000 bit/s, the hand file asks for 1000000 bit/s"),
         (1_000_000, None, 5_000_000, "without CAN FD"),
-        (1_000_000, 2_000_000, 5_000_000, "at 2000000 bit/s"),
+        (1_000_000, 2_000_000, 5_000_000, "a data bit rate of 2000000 bit/s"),
     ],
 )
 def test_a_bit_rate_other_than_the_hand_files_is_reported(

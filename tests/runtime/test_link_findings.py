@@ -55,13 +55,13 @@ def test_a_good_interface_has_only_good_findings():
 )
 def test_each_finding_names_the_command_that_corrects_it(changes, what, fix):
     (finding,) = bad(link_json(**changes))
-    assert what in finding.what
+    assert what in finding.observation
     assert fix in finding.fix
 
 
 def test_missing_fd_is_found_where_the_hand_needs_it():
     texts = bad(link_json(), 5 * MEGABIT)
-    assert ["does not carry CAN FD" in finding.what for finding in texts] == [True, False]
+    assert ["does not carry CAN FD" in finding.observation for finding in texts] == [True, False]
     assert "dbitrate 5000000 fd on" in texts[0].fix
 
 
@@ -120,7 +120,7 @@ def test_a_controller_without_usb_has_no_speed(tmp_path):
 )
 def test_each_adapter_type_has_a_finding(adapter, kind, good, said):
     last = adapter_findings("can0", adapter, kind, [])[-1]
-    assert (last.good, said in last.what, bool(last.fix)) == (good, True, not good)
+    assert (last.good, said in last.observation, bool(last.fix)) == (good, True, not good)
 
 
 def test_a_virtual_interface_has_no_adapter():
@@ -129,4 +129,4 @@ def test_a_virtual_interface_has_no_adapter():
 
 def test_two_usb_adapters_get_names_by_their_serial_numbers():
     (_, name) = adapter_findings("can0", Adapter("gs_usb", 480.0, "0042"), "can", ["can1"])
-    assert 'ATTRS{serial}=="0042", NAME="can0"' in name.what
+    assert 'ATTRS{serial}=="0042", NAME="can0"' in name.observation

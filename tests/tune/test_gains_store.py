@@ -134,10 +134,10 @@ def test_a_change_that_fails_leaves_the_present_gains(
     store.apply(force(21.0), Provenance())
     before = store.path.read_bytes()
 
-    def full(*_: object, **__: object) -> None:
+    def raise_disk_full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, fails, full)
+    monkeypatch.setattr(os, fails, raise_disk_full)
     with pytest.raises(ConfigError, match="No space left"):
         store.apply(force(22.0), Provenance())
     monkeypatch.undo()

@@ -19,7 +19,7 @@ from handctl.tune.identify.excitation import excitation, lift_off
 from handctl.tune.identify.figure import _draw_parameters
 from handctl.tune.identify.fit import NAMES
 from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters
-from handctl.tune.identify.fit_motor import HALF_S, _cumulative, _window, _window_curvature, _window_slope
+from handctl.tune.identify.fit_motor import HALF_WINDOW_S, _cumulative, _window, _window_curvature, _window_slope
 from handctl.tune.identify.identifiability import _reason_not_identified
 
 SPRUNG = TOLERANCES.keys() - {"moment_arm", "pretension"}
@@ -80,7 +80,7 @@ def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
     np.testing.assert_allclose(np.gradient(_window(s), h), _window_slope(s), atol=1e-6)
     np.testing.assert_allclose(np.gradient(_window_slope(s), h), _window_curvature(s), atol=1e-2)
     np.testing.assert_allclose(np.gradient(_cumulative(s), h), _window(s), atol=1e-6)
-    assert HALF_S > 0
+    assert HALF_WINDOW_S > 0
 
 
 def test_the_load_model_balances_every_joint() -> None:

@@ -87,7 +87,7 @@ def test_the_viewer_listens_on_this_machine_only(bare: "tuple[Viewer, ViewerClie
 
 
 def test_viewer_ignores_streams_of_other_programs(bare: "tuple[Viewer, ViewerClient]") -> None:
-    """A follower of a closed viewer once found this viewer at the same port, and took its views away."""
+    """Ignore a program that still sends to a closed viewer. It once replaced the views of the next viewer."""
     running, client = bare
     assert not running.url.endswith(":9876/proxy"), "Rerun's default port"
     (shown,) = client.get_state().recordings

@@ -19,7 +19,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.view import feed
 from handctl.view.scene import palette
-from handctl.view.scene.frame_load import SPAN_NS
+from handctl.view.scene.frame_load import LOAD_WINDOW_NS
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.topic_converters import FORCE_SCALE
 
@@ -97,8 +97,8 @@ def test_lateness_and_bus_load_add_up(recorded: dict[str, Entity], log: RunLog) 
         frames = (*tick.tick_in.frames, *tick.frames)
         spent.append((tick.tick_in.t_ns, sum(frame_time_s(len(one.data), False, 1e6) for one in frames)))
         now = tick.tick_in.t_ns
-        last = [time for t, time in spent if now - SPAN_NS < t <= now]
-        expected.append(100 * sum(last) / min(SPAN_NS * 1e-9, now * 1e-9 + period))
+        last = [time for t, time in spent if now - LOAD_WINDOW_NS < t <= now]
+        expected.append(100 * sum(last) / min(LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period))
     np.testing.assert_allclose(recorded["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9)
     assert 3 < expected[-1] < 100
 
@@ -152,7 +152,7 @@ def test_the_layout_is_saved_with_the_recording(rrd: Path, log_path: Path) -> No
 def test_time_slices_do_not_change_the_recording(
     recorded: dict[str, Entity], log_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handctl.view.time_slices.SPAN_NS", 333_000_000)
+    monkeypatch.setattr("handctl.view.time_slices.SLICE_NS", 333_000_000)
     again = entities(feed.run_chunks(log_path, run_info_of(log_path), 333_000_000))
     assert again.keys() == recorded.keys() - {"/__properties"}
     for path in again.keys() - {"/tension/limit"}:

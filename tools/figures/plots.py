@@ -154,9 +154,7 @@ def replayed(folder: Path) -> Any:
             axes.plot(
                 *thinned(again.t[later] - first, new), color=DIGITS[name], linewidth=1.0, label=f"{name}, replayed"
             )
-    top.set(
-        ylabel="mean joint angle [deg]", title="a recorded grasp, and the same driven again on a hand with other noise"
-    )
+    top.set(ylabel="mean joint angle [deg]", title="a recorded grasp, and its replay on a hand with other noise")
     top.legend(ncols=2)
     bottom.set(ylabel="tendon tension [N]", xlabel="time [s]")
     bottom.margins(x=0)

@@ -60,8 +60,8 @@ class MatrixRow(NamedTuple):
             drive_limit_N, {late} for a delay that is late at the control rate [ms], {jump} and
             {rough} for a step and for noise that no drive makes at the control rate [rad].
         action: weakest reaction that is sufficient.
-        ticks: time limit, part in control periods.
-        ms: time limit, part in milliseconds. The limit is the sum of both parts.
+        ticks: time limit [control periods], to which ``ms`` is added.
+        ms: addition to the time limit ``ticks`` [ms].
         rows: prefixes of fault ids accepted as a detection, the row's own fault first.
         stages: stages of the runs.
         protocols: protocols of the runs.

@@ -242,7 +242,7 @@ def _after_ready(state: State, inputs: ModeInputs) -> NextMode:
     if wrong := _wrong_amplifiers(state):
         return Mode.DONE, "; ".join(wrong)
     if strange := _other_drives(state, inputs):
-        return Mode.DONE, f"{strange}: the calibration is another hand's, name this one's or commission it"
+        return Mode.DONE, f"{strange}: the calibration is of another hand, give that of this hand or commission it"
     return (Mode.ARMING if state.armed and inputs.elapsed >= READY_S else Mode.READY), ""
 
 
@@ -255,7 +255,7 @@ def _other_drives(state: State, inputs: ModeInputs) -> str:
     there = [drive.identity(drive_state) for drive, drive_state in zip(inputs.drives, state.drives, strict=True)]
     pairs = zip(inputs.names, there, inputs.identities, strict=False)
     others = [(name, now, then) for name, now, then in pairs if then not in ("", now)]
-    return ", ".join(f"{name} is drive {now}, calibrated was {then}" for name, now, then in others)
+    return ", ".join(f"{name} is drive {now}, but was calibrated with drive {then}" for name, now, then in others)
 
 
 def _after_arming(state: State, inputs: ModeInputs) -> NextMode:

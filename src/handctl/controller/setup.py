@@ -145,7 +145,7 @@ def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
 
     The operator reads these lines before arming.
     """
-    return tuple(f"{drive.name}: {text}" for drive in drives for text in drive.unverified_guards)
+    return tuple(f"{drive.name}: {text}" for drive in drives for text in drive.unverified_protections)
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:

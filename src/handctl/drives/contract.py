@@ -117,7 +117,7 @@ class Drive(Protocol):
         host_ids: identifiers sent only by the host. A received frame with such an identifier comes from
             a second controller.
         node_ids: identifiers of the drive's answers.
-        unverified_guards: protections of the drive not verifiable by handctl, shown to the
+        unverified_protections: protections of the drive not verifiable by handctl, shown to the
             operator before arming.
         one_reply_per_command: True if the drive sends one feedback frame per command. An extra one
             is then a duplicate, or comes from a second node.
@@ -167,7 +167,7 @@ class Drive(Protocol):
         ...
 
     @property
-    def unverified_guards(self) -> tuple[str, ...]:
+    def unverified_protections(self) -> tuple[str, ...]:
         """Return one line for each protection of the drive not verifiable by handctl."""
         ...
 

@@ -14,7 +14,7 @@ from handctl.gym.observed import Part
 
 SCALE_DEG = 5.0
 """Tracking error at which the reward is half the largest reward [deg]."""
-SPAN = (0.15, 0.55)
+ANGLE_RANGE = (0.15, 0.55)
 """Lowest and highest reference angle, as fractions of the range."""
 PERIODS_S = (1.5, 4.0)
 """Range for the periods of the two sines in the reference [s]."""
@@ -38,7 +38,7 @@ class TrackEnv(HandEnv):
         duration_s: float = 5.0,
         perturb: Mapping[str, float] | None = None,
         speed_deg_s: float = SPEED_DEG_S,
-        span: tuple[float, float] = SPAN,
+        span: tuple[float, float] = ANGLE_RANGE,
     ) -> None:
         """Create the environment. See ``HandEnv``.
 

@@ -17,9 +17,9 @@ MAX_STEPS = 60
 """Most steps of the search for the closest tip."""
 CONVERGED = 1e-10
 """Step of a coordinate at which the search ends [rad]."""
-STEADY_M = 1e-5
+START_WEIGHT_M_PER_RAD = 1e-5
 """Weight of the distance to the start [m/rad]. It picks one of many postures with the same tip, the nearest one."""
-DAMPING = (1e-8, 1e8)
+DAMPING_RANGE = (1e-8, 1e8)
 """Smallest and largest damping of a step, relative to the largest curvature."""
 START_FRACTIONS = (0.5, 0.15, 0.85)
 """Starts of a search without a known posture, as fractions of the range."""
@@ -180,24 +180,24 @@ def _local_minimum(digit: DigitModel, target: Array, start: Array) -> ClosestTip
     damping = 1e-3
     for _ in range(MAX_STEPS):
         jacobian = tip_jacobian(digit, digit.coupling @ theta) @ digit.coupling
-        slope = jacobian.T @ gap + STEADY_M**2 * (theta - start)
+        slope = jacobian.T @ gap + START_WEIGHT_M_PER_RAD**2 * (theta - start)
         free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
         if not free.any():
             break
-        curvature = jacobian[:, free].T @ jacobian[:, free] + STEADY_M**2 * np.eye(int(free.sum()))
+        curvature = jacobian[:, free].T @ jacobian[:, free] + START_WEIGHT_M_PER_RAD**2 * np.eye(int(free.sum()))
         scale = float(curvature.diagonal().max())
         moved = theta
-        while damping < DAMPING[1]:
+        while damping < DAMPING_RANGE[1]:
             trial = theta.copy()
             trial[free] -= np.linalg.solve(curvature + damping * scale * np.eye(len(curvature)), slope[free])
             trial = np.clip(trial, low, high)
             ahead = joint_points(digit, digit.coupling @ trial)[-1] - target
-            steady = (STEADY_M * (trial - start)) @ (STEADY_M * (trial - start))
+            steady = (START_WEIGHT_M_PER_RAD * (trial - start)) @ (START_WEIGHT_M_PER_RAD * (trial - start))
             if (now := float(ahead @ ahead + steady)) < cost:
                 moved = trial
                 gap = ahead
                 cost = now
-                damping = max(0.1 * damping, DAMPING[0])
+                damping = max(0.1 * damping, DAMPING_RANGE[0])
                 break
             damping *= 10.0
         step = float(np.abs(moved - theta).max())

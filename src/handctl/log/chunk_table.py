@@ -20,7 +20,7 @@ _CHUNK = struct.Struct("<QQQQQQQQ")
 """Layout of a row: the fields of ChunkEntry, then the number of the arrangement of message indexes."""
 _CHANNEL = struct.Struct("<HQ")
 """Layout of an arrangement: channel id, offset of the channel's message index from the chunk's end."""
-BLOCK = 512
+BLOCK_CHUNKS = 512
 """Number of chunks per compressed block."""
 
 
@@ -54,7 +54,7 @@ class ChunkTable:
 
     def __len__(self) -> int:
         """Return the number of chunks."""
-        return BLOCK * len(self._packed) + len(self._latest) // _CHUNK.size
+        return BLOCK_CHUNKS * len(self._packed) + len(self._latest) // _CHUNK.size
 
     def add(self, chunk: ChunkEntry, index_offsets: dict[int, int]) -> None:
         """Append a chunk to the table.
@@ -67,7 +67,7 @@ class ChunkTable:
         layout = b"".join([_CHANNEL.pack(*item) for item in index_offsets.items()])
         # `setdefault` numbers the arrangements in the order of their first use.
         self._latest += _CHUNK.pack(*chunk, self._layouts.setdefault(layout, len(self._layouts)))
-        if len(self._latest) == BLOCK * _CHUNK.size:
+        if len(self._latest) == BLOCK_CHUNKS * _CHUNK.size:
             self._packed.append(zlib.compress(self._latest))
             self._latest.clear()
 

@@ -17,17 +17,17 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 
-OPENING_M = 20e-6
+SLIP_EXCURSION_M = 20e-6
 """Excursion difference that counts as slip [m].
 
 Six standard deviations of the excursion in a quiet hold (3.5 um). It is about 0.1 mm/s of tendon,
 0.3 to 1 mm/s of object.
 """
-QUIET_S = 0.4
+NO_DETECTION_S = 0.4
 """Time without slip detection after the grip's own tension changed [s]. Fingers conform then."""
-PAUSE_S = 0.1
+ANSWER_PAUSE_S = 0.1
 """Time from an answer to the next [s]."""
-STEP = 1.2
+ANSWER_FACTOR = 1.2
 """Factor of each answer on every tension of the grip."""
 RATE_N_PER_S = 300.0
 """Tension rate of an answer [N/s]. Slip is faster than the closing of a grasp."""
@@ -63,7 +63,7 @@ class Grip(NamedTuple):
                     settling_s,
                     float(np.abs(goal.tension - estimate.tension[tendons]).max()) / goal.rate,
                 )
-        return Grip(tension, np.full_like(tension, np.nan), t + settling_s + QUIET_S)
+        return Grip(tension, np.full_like(tension, np.nan), t + settling_s + NO_DETECTION_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def advance_grip(
     if judged:
         # A tendon that opens its digit pays out while the digit closes.
         opening = np.where(np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening)
-        if opening.max() > OPENING_M:
+        if opening.max() > SLIP_EXCURSION_M:
             grip, events = _answer_slip(model, grip, plan, opening, t)
     if not (judged or settled) or not (events or plan.stiffness):
         return grip, goals, events
@@ -132,14 +132,14 @@ def _answer_slip(
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True)
         if tendons.start <= worst < tendons.stop
     )
-    grip = grip._replace(ready=t + PAUSE_S)
+    grip = grip._replace(ready=t + ANSWER_PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
     # The tendon with the most room decides, all tendons rise by the same factor.
     closing = model.redundancy.side > 0.0
     room = plan.limit[closing] / grip.tension[closing]
     max_factor = float(np.nanmax(np.append(room, 1.0)))
     if grip.raised < max_factor:
-        grip = grip._replace(raised=min(grip.raised * STEP, max_factor))
+        grip = grip._replace(raised=min(grip.raised * ANSWER_FACTOR, max_factor))
         return grip, (Event("warn", "slip", digit, f"{moved}: force x {grip.raised:.2f}"),)
     refused = Event("warn", "slip", digit, f"{moved}; the task allows no more force")
     return grip._replace(limited=True), () if grip.limited else (refused,)

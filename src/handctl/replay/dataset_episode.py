@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 
 VERSION = "v3."
 """Beginning of the codebase version of a dataset."""
-POSITION = ".pos_rad"
+POSITION_SUFFIX = ".pos_rad"
 """End of the name of a joint angle in an action."""
-OUTSIDE_DEG = 3.0
+MAX_CLIPPED_DEG = 3.0
 """Angle beyond the range of a joint that is clipped [deg]. An estimated angle at a stop may be that far beyond."""
 RATES_HZ = (1.0, 1000.0)
 """Lowest and highest frame rate."""
-LONGEST_S = 3600.0
+MAX_EPISODE_S = 3600.0
 """Longest episode, as the longest trajectory [s]."""
 LARGEST_INFO = 1 << 24
 """Largest `info.json` [bytes]."""
@@ -56,8 +56,8 @@ def find_episode(dataset: Path, episode: int, hand: Hand, period: float, speed_d
         raise ConfigError(_value_text(rate), f"{_info_path(dataset)}: fps", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
     where = f"{dataset}: episode {episode}"
     actions = _read_actions(dataset, info, episode)
-    if not 2 <= len(actions) <= LONGEST_S * rate:
-        raise ConfigError(f"{len(actions)} frames", where, f"2 to {LONGEST_S * rate:.0f}")
+    if not 2 <= len(actions) <= MAX_EPISODE_S * rate:
+        raise ConfigError(f"{len(actions)} frames", where, f"2 to {MAX_EPISODE_S * rate:.0f}")
     angles = _within_range(_joint_angles(actions, info, hand, dataset), hand, where)
     if speed_deg_s is not None:
         if not 0.0 < speed_deg_s <= FOLLOW_SPEED_DEG_S:
@@ -161,10 +161,10 @@ def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: 
     try:
         names = list(info["features"]["action"]["names"])
     except (KeyError, TypeError):
-        raise ConfigError("no names", where, f"{hand.joints[0]}{POSITION} and so on") from None
+        raise ConfigError("no names", where, f"{hand.joints[0]}{POSITION_SUFFIX} and so on") from None
     if len(names) != actions.shape[1]:
         raise ConfigError(f"{len(names)} names for {actions.shape[1]} values", where, "a name for each value")
-    wanted = [f"{joint}{POSITION}" for joint in hand.joints]
+    wanted = [f"{joint}{POSITION_SUFFIX}" for joint in hand.joints]
     if missing := [name for name in wanted if name not in names]:
         raise ConfigError(f"no {missing[0]}", where, f"an angle for each joint of {hand.name}")
     return actions[:, [names.index(name) for name in wanted]]
@@ -179,7 +179,7 @@ def _within_range(angles: Array, hand: Hand, where: str) -> Array:
     low = np.radians([angle for digit in hand.digit for angle in digit.joint_min_deg])
     high = np.radians([angle for digit in hand.digit for angle in digit.joint_max_deg])
     beyond = np.degrees(np.maximum(low - angles, angles - high))
-    wrong = ~(beyond <= OUTSIDE_DEG)  # the negation also finds NaN
+    wrong = ~(beyond <= MAX_CLIPPED_DEG)  # the negation also finds NaN
     if wrong.any():
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
         problem = f"{np.degrees(angles[frame, joint]):.6g} deg for {hand.joints[joint]} in frame {frame}"

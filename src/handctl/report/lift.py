@@ -13,7 +13,7 @@ SUPPORT = "support"
 
 Only scenes with a sinking table have this column.
 """
-SLID_MM = 10.0
+MAX_SLIP_MM = 10.0
 """Largest motion of an object in the hand that counts as held [mm].
 
 In the demo, held objects move by 3 mm at most.
@@ -71,6 +71,6 @@ def lift_failure(lift: dict[str, Any]) -> str:
     slid = lift["object_slid_mm"]
     if sunk == 0.0:
         return "the object was never lifted: too few digits pressed on it for the table to sink"
-    if slid > SLID_MM:
+    if slid > MAX_SLIP_MM:
         return f"the object was not held: it moved {slid:.0f} mm while the table sank {sunk:.0f} mm"
     return ""

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
 
 # Bit rates of the table: nominal, and data phase of CAN FD [bit/s].
-NOMINAL = 1_000_000
-DATA = 5_000_000
+BITRATE = 1_000_000
+DATA_BITRATE = 5_000_000
 TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
 """Control rates of the table [Hz]."""
 
@@ -37,7 +37,7 @@ class TableRow(NamedTuple):
     def tick_s(self) -> float:
         """Return the time of one tick's frames [s]."""
         sizes = [*self.per_motor * self.motors, *self.shared]
-        return bus_time_s([(size, self.fd, 1.0) for size in sizes], NOMINAL, DATA)
+        return bus_time_s([(size, self.fd, 1.0) for size in sizes], BITRATE, DATA_BITRATE)
 
     def numbers(self) -> dict[str, Any]:
         """Return the row as a mapping for JSON output."""

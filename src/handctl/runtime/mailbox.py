@@ -40,7 +40,7 @@ MAX_REQUESTS_PER_TICK = 16
 
 The limit keeps a flood of requests from delaying a tick.
 """
-RIGHT_FOLDER = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
+RIGHT_FOLDER = "HANDCTL_RUN_DIR with a short path to a writable folder"
 
 
 class Mailbox:

@@ -22,7 +22,7 @@ from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.styles import style_chunks
 from handctl.view.scene.topic_converters import TopicConverters
 from handctl.view.scene.true_shapes import true_shape_chunks
-from handctl.view.time_slices import SPAN_NS, time_slices
+from handctl.view.time_slices import SLICE_NS, time_slices
 
 DISK_SPACE_FACTOR = 2
 """Required free space for a recording, as a multiple of the log's size.
@@ -42,13 +42,13 @@ def rerun_errors(name: str) -> Iterator[None]:
         raise LogError(f"damaged log: {error}", name, "an intact file; see `handctl log recover`") from error
 
 
-def run_chunks(path: Path, run: RunInfo, first_ns: int = SPAN_NS) -> Iterator[Chunk]:
+def run_chunks(path: Path, run: RunInfo, first_ns: int = SLICE_NS) -> Iterator[Chunk]:
     """Return all chunks of a log in the order of time, see `run_parts`."""
     return chain.from_iterable(run_parts(path, run, first_ns))
 
 
 def run_parts(
-    path: Path, run: RunInfo, first_ns: int = SPAN_NS, scan: RecordScan | None = None
+    path: Path, run: RunInfo, first_ns: int = SLICE_NS, scan: RecordScan | None = None
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts: static chunks first, then the run in the order of time.
 

@@ -18,9 +18,9 @@ LOAD_S = 60.0
 """Longest wait for the viewer [s]."""
 SETTLE_S = 1.0
 """Pause between two pictures [s]."""
-TOAST_S = 5.0
+NOTICE_S = 5.0
 """Time after the start during which the viewer shows notices over the picture [s]."""
-STILL_S = 10.0
+UNCHANGED_TIMEOUT_S = 10.0
 """Longest wait until the picture no longer changes [s]."""
 
 
@@ -41,7 +41,7 @@ def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
         OSError: the picture cannot be written.
     """
     with running_viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
-        clear = time.monotonic() + TOAST_S
+        clear = time.monotonic() + NOTICE_S
         client = connect_client(running)
         wait_loaded(client, TIMELINE, int(at_s * 1e9))
         client.set_time(TIMELINE, duration=at_s, play_state="paused")
@@ -58,7 +58,7 @@ def settled_screenshot(client: "ViewerClient") -> bytes:
 
     On a busy machine the views are drawn one after the other.
     """
-    end = time.monotonic() + STILL_S
+    end = time.monotonic() + UNCHANGED_TIMEOUT_S
     before = client.take_screenshot()
     while True:
         time.sleep(SETTLE_S)

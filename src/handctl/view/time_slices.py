@@ -9,7 +9,7 @@ from pathlib import Path
 from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.record_scan import RecordScan
 
-SPAN_NS = 20_000_000_000
+SLICE_NS = 20_000_000_000
 """Length of the run per part [ns].
 
 Parts of this length have few chunks, so that memory use stays bounded.
@@ -63,5 +63,5 @@ def _group_chunks(start_ns: int, chunks: list[ChunkLocation], first_ns: int) -> 
     """Return the chunks grouped by the part in which each chunk begins."""
     groups: dict[int, list[ChunkLocation]] = {}
     for chunk in chunks:
-        groups.setdefault(max(-1, (chunk.first - start_ns - first_ns) // SPAN_NS), []).append(chunk)
+        groups.setdefault(max(-1, (chunk.first - start_ns - first_ns) // SLICE_NS), []).append(chunk)
     return list(groups.values())

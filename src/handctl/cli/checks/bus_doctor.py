@@ -77,7 +77,7 @@ def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str
     return {
         "bus": spec,
         "name": expected.name,
-        "findings": [{"what": one.what, "good": one.good, "fix": "" if one.good else one.fix} for one in rows],
+        "findings": [{"what": one.observation, "good": one.good, "fix": "" if one.good else one.fix} for one in rows],
         "nodes": [{"protocol": node.protocol, "node_id": node.node_id, **trip._asdict()} for node, trip in trips],
     }
 

@@ -5,7 +5,6 @@ import math
 import sys
 from typing import Any
 
-from handctl.cli.console.begin import confirm_motion
 from handctl.cli.console.bench import (
     NOT_OFF_WARNING,
     TORQUE_TOP,
@@ -16,6 +15,7 @@ from handctl.cli.console.bench import (
     parse_options,
     with_torque_range,
 )
+from handctl.cli.console.motion_confirmation import confirm_motion
 from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import DiscoveredNode

@@ -3,8 +3,8 @@
 import argparse
 from dataclasses import replace
 
-from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
+from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.log.read.reader import RunLog
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
             line = f"{plan.hand.name}: would drive {end_s - start_s:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
             report_dry_run(args, plan, line, log=args.recorded, seconds=end_s - start_s, commissioning=reason)
             return lossy
-        announce(args, plan, path, calibration)
+        announce_motion(args, plan, path, calibration)
         log = args.log or default_log(plan.hand, "replay")
         if calibration is None:
             calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))

@@ -2,8 +2,8 @@
 
 import argparse
 
-from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
+from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import calibration_path, make_plan
 from handctl.session.calibration import commission, previous_identified, write_calibration
@@ -18,7 +18,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         line = f"{plan.hand.name}: ready to commission at {plan.rate_hz:g} Hz, would write {path}"
         return report_dry_run(args, plan, line, calibration=path)
-    announce(args, plan, path, None)
+    announce_motion(args, plan, path, None)
     log = args.log or default_log(plan.hand, "commission")
     calibration, outcome = commission(plan, log, run_live)
     previous = previous_identified(path, plan.hand, calibration.drive, plan.tell)

@@ -2,8 +2,8 @@
 
 import argparse
 
-from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
+from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.cli.runs import jog_drive
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {reason}" if reason else "")
         return report_dry_run(args, plan, line, digit=args.digit, commissioning=reason)
-    announce(args, plan, path, calibration)
+    announce_motion(args, plan, path, calibration)
     log = args.log or default_log(plan.hand, "jog")
     if calibration is None:
         calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))

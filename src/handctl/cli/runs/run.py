@@ -5,8 +5,8 @@ import sys
 from functools import partial
 from typing import Any
 
-from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
+from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.cli.runs.owner import StdinWatch
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
         summary = f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
         next_step = f"the hand would be commissioned first: {reason}" if reason else "the hand is commissioned"
         return report_dry_run(args, plan, summary, next_step, commissioning=reason)
-    announce(args, plan, path, calibration)
+    announce_motion(args, plan, path, calibration)
     log = args.log or default_log(plan.hand)
     if calibration is None:
         runner = partial(run_live, observer=StdinWatch() if args.until_eof else None)

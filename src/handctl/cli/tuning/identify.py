@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
+from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import check_seed, print_escaped, print_json
 from handctl.cli.console.plan import (
     calibration_path,
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     if args.lockstep:
         calibration, outcome = _in_lockstep(args, plan, program, log, about)
     else:
-        announce(args, plan, path, calibration)
+        announce_motion(args, plan, path, calibration)
         print_note(about)
         calibration = calibration or ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, arm_at_once=True)

@@ -6,8 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
+from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import checked_count, print_json
 from handctl.cli.console.plan import check_perturb, find_calibration, make_plan, refuse_bus_options
 from handctl.cli.console.screen import rich_console
@@ -68,7 +68,7 @@ def _run_once(
 ) -> tuple[Outcome, Path | None]:
     if not args.lockstep:
         path, calibration, reason = find_calibration(args, plan.hand)
-        announce(args, plan, path, calibration)
+        announce_motion(args, plan, path, calibration)
         if calibration is None:
             calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, True)

@@ -25,7 +25,7 @@ AMPLIFIER_PROFILE = 404
 """Profile number of measuring amplifiers."""
 CHANNELS = (0x6131, 0)
 """Object with the number of an amplifier's channels: the entries of the array of units. Source: CiA 404."""
-SERIAL = (0x1018, 4)
+SERIAL_NUMBER = (0x1018, 4)
 """Object with the serial number, an optional object."""
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 """NMT states in words."""
@@ -43,7 +43,7 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
         return tuple(Frame(codec.SDO_REQUEST + number, codec.upload_request(DEVICE_TYPE, 0)) for number in NODE_NUMBERS)
     if turn == 3:
         found = nodes_in(received)
-        asked = [(node, SERIAL) for node in found]
+        asked = [(node, SERIAL_NUMBER) for node in found]
         asked += [(node, CHANNELS) for node in found if node.protocol == CIA404]
         return tuple(Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*entry)) for node, entry in asked)
     return ()
@@ -58,7 +58,7 @@ def nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     for frame in received:
         if frame.can_id - codec.SDO_REPLY in NODE_NUMBERS and len(frame.data) == 8:
             reply = codec.decode_sdo_reply(frame.data)
-            if reply and reply[:2] in ((DEVICE_TYPE, 0), SERIAL):
+            if reply and reply[:2] in ((DEVICE_TYPE, 0), SERIAL_NUMBER):
                 by_object = answers.setdefault(frame.can_id - codec.SDO_REPLY, {})
                 by_object.setdefault(reply.number, []).append(frame.data)
             if reply and reply[:2] == (DEVICE_TYPE, 0) and len(reply.raw) == 4:
@@ -72,7 +72,7 @@ def nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
             number,
             types.get(number),
             states.get(number),
-            have_two_drives_answered(answers.get(number, {}), SERIAL[0]),
+            have_two_drives_answered(answers.get(number, {}), SERIAL_NUMBER[0]),
             channels.get(number, 0),
         )
         for number in sorted(types | states)

@@ -173,7 +173,7 @@ class Cia402Drive:
         return frozenset(base + self.node_id for base in bases)
 
     @property
-    def unverified_guards(self) -> tuple[str, ...]:
+    def unverified_protections(self) -> tuple[str, ...]:
         """Return an empty tuple, because every setting is read back."""
         return ()
 

@@ -30,7 +30,7 @@ UNSUPERVISED = 0x1016, 1, (MASTER << 16).to_bytes(4, "little")
 """Index, sub-index, and value of the object that ends the supervision of the host's heartbeat: time 0."""
 
 
-SERIAL = 0x1018, 4
+SERIAL_NUMBER = 0x1018, 4
 """Index and sub-index of the object with the serial number."""
 
 
@@ -116,7 +116,7 @@ def required_steps(
     return (
         # 0x0192 = 402: the profile number in the low word of the device type.
         Step(bits, 0x1000, 0, 0x0192, 4),
-        Step(read, *SERIAL, 0, 4),
+        Step(read, *SERIAL_NUMBER, 0, 4),
         Step(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
         # Supported modes: bit 9 is mode 10, cyclic synchronous torque.
         Step(bits, 0x6502, 0, 1 << mode - 1, 4),

@@ -59,7 +59,7 @@ DECELERATION = 5
 MAX_SPEED = 6
 TIMEOUT = 9
 CTRL_MODE = 10
-SERIAL = 15
+SERIAL_NUMBER = 15
 PMAX = 21
 VMAX = 22
 TMAX = 23
@@ -70,7 +70,7 @@ REGISTER_NAMES = {
 """Register names in messages."""
 _INTEGER = struct.Struct("<I")
 _FLOAT = struct.Struct("<f")
-_FORMATS = {TIMEOUT: _INTEGER, CTRL_MODE: _INTEGER, SERIAL: _INTEGER}
+_FORMATS = {TIMEOUT: _INTEGER, CTRL_MODE: _INTEGER, SERIAL_NUMBER: _INTEGER}
 """Registers with an unsigned integer. All others are float32."""
 MIT_MODE = 1
 """Value of CTRL_MODE for MIT mode."""

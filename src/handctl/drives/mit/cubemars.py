@@ -10,7 +10,7 @@ the command, 8 bytes (6 on older firmware, without bytes 6 and 7), big-endian:
 The motor has no registers and no watchdog, and its feedback does not report enabled or disabled. A
 motor counts as enabled after several answers to the enable command. A motor counts as disabled
 after several answers to the disable command without torque. The disable command also serves to
-request feedback, because every other request may make torque. ``unverified_guards`` lists the
+request feedback, because every other request may make torque. ``unverified_protections`` lists the
 protections that cannot be verified. Source: CubeMars AK Series Actuator Driver Manual V1.0.8,
 section 5.3.
 """
@@ -72,7 +72,7 @@ Sensor noise at rest is lower.
 """
 SILENCE_NS = 250_000_000
 """Time without a frame after which the motor is in phase SILENT [ns]."""
-UNVERIFIED_GUARDS = (
+UNVERIFIED_PROTECTIONS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
     "has no torque limit below its model's full scale; torque_max_N_m is this host's alone",
     "does not report whether it is enabled; "
@@ -203,9 +203,9 @@ class CubemarsDrive:
         return frozenset((self.node_id,))
 
     @property
-    def unverified_guards(self) -> tuple[str, ...]:
+    def unverified_protections(self) -> tuple[str, ...]:
         """Return the protections not verifiable by handctl, one line each."""
-        return UNVERIFIED_GUARDS
+        return UNVERIFIED_PROTECTIONS
 
     @property
     def one_reply_per_command(self) -> bool:

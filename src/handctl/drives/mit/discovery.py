@@ -21,12 +21,12 @@ MOTOR_NUMBERS = range(1, 0x80)
 """Node numbers to try."""
 # Registers: identifier of the replies, hardware and software version, serial number, bit rate.
 MST_ID = 7
-HARDWARE = 13
-SOFTWARE = 14
-SERIAL = 15
+HARDWARE_VERSION = 13
+SOFTWARE_VERSION = 14
+SERIAL_NUMBER = 15
 CAN_BR = 35
-_INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE, SOFTWARE, SERIAL, CAN_BR}
-_DETAILS = (SOFTWARE, SERIAL, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
+_INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE_VERSION, SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR}
+_DETAILS = (SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
 FIRST_FD_BIT_RATE = 5
 """Smallest value of register CAN_BR that stands for CAN FD."""
 _RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VMAX), ("torque_max_N_m", codec.TMAX))
@@ -80,7 +80,7 @@ def _describe_motor(
     options: dict[str, bool | int | float | str] = {} if reply_id == number + 0x10 else {"reply_id": reply_id}
     if values.get(CAN_BR, 0) >= FIRST_FD_BIT_RATE:
         options["fd"] = True
-    twins = have_two_drives_answered(answers, SERIAL)
+    twins = have_two_drives_answered(answers, SERIAL_NUMBER)
     notes = [TWO_DRIVES_WARNING] if twins else []
     if others := [other for other, used in reply_ids.items() if used == reply_id and other != number]:
         notes.append(f"answers on {reply_id:#x} as motor {others[0]} does: give each an MST_ID of its own (register 7)")
@@ -89,8 +89,8 @@ def _describe_motor(
     if values.get(codec.CTRL_MODE, codec.MIT_MODE) != codec.MIT_MODE:
         notes.append("not in MIT mode; handctl sets it before arming")
     state, error = _state_and_error(number, reply_id, received)
-    firmware = f"{values[SOFTWARE]:#x}" if SOFTWARE in values else ""
-    serial = f"{values[SERIAL]:#x}" if SERIAL in values else ""
+    firmware = f"{values[SOFTWARE_VERSION]:#x}" if SOFTWARE_VERSION in values else ""
+    serial = f"{values[SERIAL_NUMBER]:#x}" if SERIAL_NUMBER in values else ""
     return DiscoveredNode("mit", number, firmware, serial, state, error, settings, options, tuple(notes), {}, twins)
 
 

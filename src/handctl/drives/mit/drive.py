@@ -141,7 +141,7 @@ class MitDrive:
         return frozenset((self.reply_id,))
 
     @property
-    def unverified_guards(self) -> tuple[str, ...]:
+    def unverified_protections(self) -> tuple[str, ...]:
         """Return an empty tuple, because every setting is read back."""
         return ()
 
@@ -228,7 +228,7 @@ class MitDrive:
             return state
         progress = progress_of(state)
         if progress.cursor.step >= len(self.required):
-            updated = reply[:2] == (codec.READ, codec.SERIAL)
+            updated = reply[:2] == (codec.READ, codec.SERIAL_NUMBER)
             return _ready_state(state, progress, t_ns, int.from_bytes(reply.raw, "little")) if updated else state
         cursor, problem = registers.on_reply(progress.cursor, self.required, reply)
         if problem:

@@ -6,7 +6,7 @@ from handctl.drives.readback import Cursor
 
 SERIAL_NUMBER_TRIES = 3
 """Number of requests for the serial number. Not every motor has this register."""
-WRITES = 1
+WRITE_TRIES = 1
 """Number of writes per register. A register that is still wrong after one write refuses the value."""
 
 RequiredRegisters = tuple[tuple[int, float], ...]
@@ -31,7 +31,7 @@ def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterR
         return cursor.after_write(), ""
     if reply.raw == codec.register_bytes(register, value):
         return cursor.next_setting(), ""
-    return readback.on_wrong_value(cursor, register_name(register), f"{reply.value:g}", f"{value:g}", WRITES)
+    return readback.on_wrong_value(cursor, register_name(register), f"{reply.value:g}", f"{value:g}", WRITE_TRIES)
 
 
 def next_request(cursor: Cursor, required: RequiredRegisters, node_id: int, t_ns: int) -> tuple[Cursor, bytes, str]:
@@ -61,7 +61,7 @@ def next_serial_request(cursor: Cursor, node_id: int, t_ns: int) -> tuple[Cursor
         motor does not answer.
     """
     cursor, send, unanswered = readback.request_setting(cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES)
-    return cursor, codec.register_request(node_id, codec.READ, codec.SERIAL) if send else b"", bool(unanswered)
+    return cursor, codec.register_request(node_id, codec.READ, codec.SERIAL_NUMBER) if send else b"", bool(unanswered)
 
 
 def register_name(register: int) -> str:

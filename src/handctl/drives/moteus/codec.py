@@ -66,19 +66,19 @@ FAULT = 0x00F
 MAX_TORQUE = 0x025
 TIMEOUT = 0x027
 INTEGRATOR_SCALE = 0x02B
-FIRMWARE = 0x101
-SERIAL = 0x120
+FIRMWARE_VERSION = 0x101
+SERIAL_NUMBER = 0x120
 
 # Modes without torque: stopped, fault.
 STOPPED = 0
 FAULT_MODE = 1
-PREPARING = (2, 3, 4)
+PREPARING_MODES = (2, 3, 4)
 """Modes between stopped and position mode."""
 POSITION = 10
 """Mode of torque commands: position mode with gains 0."""
 TIMED_OUT = 11
 """Mode after the watchdog. Only the stop command leaves it."""
-LIMITING = range(96, 128)
+LIMIT_CODES = range(96, 128)
 """Fault codes in position mode that name the limit in effect. These codes are not errors."""
 FAULTS = {
     32: "calibration fault",
@@ -109,7 +109,7 @@ WRITE_REFUSED, READ_REFUSED = 0x30, 0x31
 """First bytes of subframes that report a refused write or read: register and error number."""
 TEXT_IN, TEXT_OUT, TEXT_POLL = 0x40, 0x41, 0x42
 """First bytes of text subframes: text to the drive, text from the drive, request for text."""
-CHANNEL = 1
+DIAGNOSTIC_CHANNEL = 1
 """Channel of the diagnostic protocol."""
 LONGEST_TEXT = 48
 """Longest text in one reply [bytes]."""
@@ -185,10 +185,10 @@ def limits_request(torque: float, timeout_s: float) -> bytes:
 
 def text_request(text: bytes) -> bytes:
     """Return the payload that sends a text to the diagnostic channel."""
-    return padded_payload(bytes((TEXT_IN, CHANNEL, len(text))) + text)
+    return padded_payload(bytes((TEXT_IN, DIAGNOSTIC_CHANNEL, len(text))) + text)
 
 
-TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, CHANNEL, LONGEST_TEXT)))
+TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, DIAGNOSTIC_CHANNEL, LONGEST_TEXT)))
 """Payload that requests the text of the diagnostic channel."""
 
 

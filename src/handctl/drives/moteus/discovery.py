@@ -27,7 +27,7 @@ DETAILS = (
     codec.read_subframe(codec.INT8, codec.FAULT),
     *(
         codec.read_subframe(codec.INT32, register)
-        for register in (codec.FIRMWARE, *range(codec.SERIAL, codec.SERIAL + 3))
+        for register in (codec.FIRMWARE_VERSION, *range(codec.SERIAL_NUMBER, codec.SERIAL_NUMBER + 3))
     ),
 )
 """Payloads that read fault code, firmware version, and serial number."""
@@ -72,11 +72,11 @@ def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredN
     fault = values.get(codec.FAULT, 0)
     in_error = mode in (codec.FAULT_MODE, codec.TIMED_OUT)
     error = error_text(fault if mode == codec.FAULT_MODE and fault else mode) if in_error else ""
-    version = values.get(codec.FIRMWARE, 0)
+    version = values.get(codec.FIRMWARE_VERSION, 0)
     firmware = ".".join(str(version >> shift & 0xFF) for shift in (16, 8, 0)) if version else ""
-    words = [values.get(codec.SERIAL + i, 0) & 0xFFFFFFFF for i in range(3)]
+    words = [values.get(codec.SERIAL_NUMBER + i, 0) & 0xFFFFFFFF for i in range(3)]
     serial = "".join(f"{word:08x}" for word in reversed(words)) if any(words) else ""
-    twins = have_two_drives_answered(answers, codec.SERIAL)
+    twins = have_two_drives_answered(answers, codec.SERIAL_NUMBER)
     notes = (TWO_DRIVES_WARNING,) * twins + ("needs a bus with CAN FD: data_bitrate = 5_000_000",)
     state = _MODES.get(mode, f"mode {mode}")
     return DiscoveredNode("moteus", number, firmware, serial, state, error, notes=notes, twins=twins)

@@ -39,7 +39,9 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 Reading an attribute of the enumeration is slower than a comparison.
 """
-SERIAL_REQUEST = codec.padded_payload(bytes((codec.READ | codec.INT32 << 2 | 3,)) + codec.encode_varuint(codec.SERIAL))
+SERIAL_REQUEST = codec.padded_payload(
+    bytes((codec.READ | codec.INT32 << 2 | 3,)) + codec.encode_varuint(codec.SERIAL_NUMBER)
+)
 """Payload that reads the three registers of the serial number."""
 
 
@@ -127,7 +129,7 @@ class MoteusDrive:
         return frozenset((codec.reply_id(self.node_id),))
 
     @property
-    def unverified_guards(self) -> tuple[str, ...]:
+    def unverified_protections(self) -> tuple[str, ...]:
         """Return an empty tuple, because every setting is read back."""
         return ()
 
@@ -182,7 +184,7 @@ class MoteusDrive:
             return to_fault(state, MISMATCH, f"refuses register {register:#x} with error {error}: firmware too old?")
         if reply.text is not None:
             return self._on_text(state, progress, reply.text)
-        if codec.SERIAL in reply.values:
+        if codec.SERIAL_NUMBER in reply.values:
             return self._on_serial(state, progress, reply.values, t_ns)
         setting = self._open_setting(state, progress)
         if setting is None or setting.register not in reply.values:
@@ -246,7 +248,7 @@ class MoteusDrive:
             return state
         if same:
             return state._replace(private=progress._replace(cursor=progress.cursor.next_setting()))
-        writes = items.WRITES if value is not None else 0
+        writes = items.WRITE_TRIES if value is not None else 0
         cursor, problem = readback.on_wrong_value(progress.cursor, setting.name, shown, expected, writes)
         updated = state._replace(private=progress._replace(cursor=cursor))
         return to_fault(updated, MISMATCH, problem) if problem else updated
@@ -257,7 +259,7 @@ class MoteusDrive:
         """Return the state after the serial number arrived, the last step of the configuration."""
         if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
             return state
-        words = [int(values.get(codec.SERIAL + i, 0)) & 0xFFFFFFFF for i in range(3)]
+        words = [int(values.get(codec.SERIAL_NUMBER + i, 0)) & 0xFFFFFFFF for i in range(3)]
         return _ready_state(state, progress, t_ns, words[2] << 64 | words[1] << 32 | words[0])
 
     def advance(

@@ -76,7 +76,7 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     The given state already has the values of the same feedback.
     """
     progress = progress_of(state)
-    was_preparing = progress.mode in codec.PREPARING
+    was_preparing = progress.mode in codec.PREPARING_MODES
     if progress.mode != mode:
         progress = progress._replace(mode=mode)
         state = state._replace(private=progress)
@@ -86,7 +86,7 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
         return _state_after_error(state, progress, fault if mode == codec.FAULT_MODE and fault else mode)
     if mode == codec.POSITION:
         return _state_when_enabled(state, progress)
-    if mode in codec.PREPARING and progress.enable_sent and state.phase == READY:
+    if mode in codec.PREPARING_MODES and progress.enable_sent and state.phase == READY:
         return state
     return _state_when_in_other_mode(state, progress)
 

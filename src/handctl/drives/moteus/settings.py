@@ -16,9 +16,9 @@ from typing import NamedTuple
 from handctl.drives.moteus import codec
 from handctl.drives.readback import REQUEST_TIMEOUT_NS
 
-WRITES = 3
+WRITE_TRIES = 3
 """Number of writes per setting. The drive does not confirm a write, and a possibly lost write is repeated."""
-POLLS = 3
+UNANSWERED_READS = 3
 """Number of reads without an answer after which a request counts as unanswered, at any control rate."""
 LONGEST_LINE = 128
 """Length of text without an end of line from which the text counts as an answer to another host [bytes]."""
@@ -118,7 +118,7 @@ class Channel(NamedTuple):
 
     def awaits(self, t_ns: int) -> bool:
         """Return True if the host must read the answer of the open request in this tick."""
-        late = t_ns - self.asked_ns > REQUEST_TIMEOUT_NS and self.polls >= POLLS
+        late = t_ns - self.asked_ns > REQUEST_TIMEOUT_NS and self.polls >= UNANSWERED_READS
         return 0 <= self.asked_ns < t_ns and not late
 
     def poll(self) -> tuple["Channel", bytes]:

@@ -40,7 +40,7 @@ RX_SDO = 0x04
 TX_SDO = 0x05
 ADDRESS = 0x06
 SET_AXIS_STATE = 0x07
-ENCODER = 0x09
+ENCODER_ESTIMATES = 0x09
 SET_MODE = 0x0B
 SET_POSITION = 0x0C
 SET_VELOCITY = 0x0D
@@ -53,7 +53,7 @@ COMMANDS = frozenset(
     (ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, SET_POSITION, SET_VELOCITY, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS)
 )
 """Numbers of commands sent only by hosts. 0x0C and 0x0D set position and velocity, 0x16 reboots."""
-REQUESTABLE = frozenset((GET_VERSION, ADDRESS, ENCODER, TEMPERATURE, TORQUES))
+REQUESTABLE = frozenset((GET_VERSION, ADDRESS, ENCODER_ESTIMATES, TEMPERATURE, TORQUES))
 """Messages requested by a remote frame."""
 ANSWERS = REQUESTABLE | {HEARTBEAT, TX_SDO}
 """Messages of the drive."""
@@ -139,7 +139,7 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
     """
     # A shaft turn is tau / ratio at the spool. A negative ratio reverses the sign.
     turn = math.tau / ratio
-    return Message("encoder_estimates", message_id(node_id, ENCODER), 8, (
+    return Message("encoder_estimates", message_id(node_id, ENCODER_ESTIMATES), 8, (
         _float_signal("position", Quantity.POSITION, 0, turn, -zero / ratio, "rad"),
         _float_signal("velocity", Quantity.VELOCITY, 4, turn, 0.0, "rad/s"),
     ), nearest=requested)  # fmt: skip

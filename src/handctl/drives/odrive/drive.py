@@ -158,9 +158,9 @@ class OdriveDrive:
         return frozenset(codec.message_id(self.node_id, command) for command in codec.ANSWERS)
 
     @property
-    def unverified_guards(self) -> tuple[str, ...]:
+    def unverified_protections(self) -> tuple[str, ...]:
         """Return the protections of the drive not verifiable by handctl, one line each."""
-        return endpoints.unverified_guards(self.settings, self.firmware_05)
+        return endpoints.unverified_protections(self.settings, self.firmware_05)
 
     @property
     def one_reply_per_command(self) -> bool:
@@ -180,7 +180,7 @@ class OdriveDrive:
     @property
     def cyclic(self) -> Cyclic:
         """Return the signal tables of position and torque, the torque command, and the remote frames."""
-        requests = [codec.ENCODER] * (not self.cyclic_s) + [codec.TORQUES] * self.torque_feedback
+        requests = [codec.ENCODER_ESTIMATES] * (not self.cyclic_s) + [codec.TORQUES] * self.torque_feedback
         questions = [codec.request_message(self.node_id, command) for command in requests]
         return Cyclic((self.encoder.message, self.torques.message), (self.command.message, *questions))
 
@@ -396,7 +396,9 @@ class OdriveDrive:
 
     def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the remote frames of a tick."""
-        frames = [self._ask(codec.ENCODER)] * (not self.cyclic_s) + [self._ask(codec.TORQUES)] * self.torque_feedback
+        frames = [self._ask(codec.ENCODER_ESTIMATES)] * (not self.cyclic_s) + [
+            self._ask(codec.TORQUES)
+        ] * self.torque_feedback
         progress = progress_of(state)
         if t_ns - progress.temperature_request_ns >= TEMPERATURE_NS and not self.firmware_05:
             frames.append(self._ask(codec.TEMPERATURE))

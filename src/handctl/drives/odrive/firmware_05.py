@@ -15,9 +15,9 @@ from handctl.drives.odrive.codec import SUCCESS, Heartbeat
 FIRMWARE = ("0.6", "0.5")
 """Values of the option ``firmware``, the default first."""
 # Axis errors that the flags of bytes 5 to 7 stand for.
-MOTOR = 1 << 6
-ENCODER = 1 << 8
-CONTROLLER = 1 << 9
+MOTOR_ERROR = 1 << 6
+ENCODER_ERROR = 1 << 8
+CONTROLLER_ERROR = 1 << 9
 ERRORS = {
     0: "invalid state", 6: "motor failed", 7: "sensorless estimator failed", 8: "encoder failed",
     9: "controller failed", 11: "watchdog expired", 12: "lower end stop pressed", 13: "upper end stop pressed",
@@ -31,7 +31,7 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
 
     The flags of motor, encoder, and controller become bits of the axis errors.
     """
-    flags = (MOTOR * (data[5] & 1)) | (ENCODER * (data[6] & 1)) | (CONTROLLER * (data[7] & 1))
+    flags = (MOTOR_ERROR * (data[5] & 1)) | (ENCODER_ERROR * (data[6] & 1)) | (CONTROLLER_ERROR * (data[7] & 1))
     return Heartbeat(int.from_bytes(data[:4], "little") | flags, data[4], SUCCESS)
 
 

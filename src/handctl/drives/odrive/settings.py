@@ -14,7 +14,7 @@ from handctl.drives.odrive import codec
 from handctl.drives.readback import Cursor
 from handctl.errors import ConfigError
 
-WRITES = 3
+WRITE_TRIES = 3
 """Number of writes per setting. The drive does not confirm a write, and a possibly lost write is repeated."""
 KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpoint_torque_max", "endpoint_torque_min")
 """Names of the options whose value is an endpoint number."""
@@ -59,7 +59,7 @@ def pop_settings(
     return tuple(settings)
 
 
-def unverified_guards(settings: tuple[Setting, ...], firmware_05: bool) -> tuple[str, ...]:
+def unverified_protections(settings: tuple[Setting, ...], firmware_05: bool) -> tuple[str, ...]:
     """Return the protections of the drive not verifiable by handctl, one line each."""
     names = {setting.name for setting in settings}
     guards = []
@@ -85,7 +85,7 @@ def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tupl
     if raw[: len(setting.raw)] == setting.raw:
         return cursor.next_setting(), ""
     return readback.on_wrong_value(
-        cursor, setting.name, value_as_text(raw, setting), value_as_text(setting.raw, setting), WRITES
+        cursor, setting.name, value_as_text(raw, setting), value_as_text(setting.raw, setting), WRITE_TRIES
     )
 
 

@@ -138,7 +138,7 @@ class RobstrideDrive:
         return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})
 
     @property
-    def unverified_guards(self) -> tuple[str, ...]:
+    def unverified_protections(self) -> tuple[str, ...]:
         """Return an empty tuple, because torque limit and watchdog are read back."""
         return ()
 
@@ -246,7 +246,9 @@ class RobstrideDrive:
             return to_fault(state, MISMATCH, f"{one.name} cannot be read")
         if one.is_right(raw):
             return state._replace(private=progress._replace(cursor=cursor.next_setting()))
-        cursor, problem = readback.on_wrong_value(cursor, one.name, one.shown(raw), f"{one.value:g}", parameters.WRITES)
+        cursor, problem = readback.on_wrong_value(
+            cursor, one.name, one.shown(raw), f"{one.value:g}", parameters.WRITE_TRIES
+        )
         updated = state._replace(private=progress._replace(cursor=cursor))
         return to_fault(updated, MISMATCH, problem) if problem else updated
 

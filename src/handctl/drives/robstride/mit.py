@@ -55,7 +55,7 @@ FAULT_PERIOD = 8
 """Number of answers from a disabled motor between two reads of its faults."""
 CONTROL_MODES = range(3)
 """Bits 10..8 of a command's identifier: MIT, position, and velocity mode."""
-UNVERIFIED_GUARDS = (
+UNVERIFIED_PROTECTIONS = (
     "watchdog: canTimeout cannot be read in MIT mode; set and save it in the private protocol, its default is off",
     "torque limit: limit_torque cannot be read in MIT mode; torque_max_N_m is this host's alone",
     "does not report whether it is enabled; "
@@ -129,9 +129,9 @@ class RobstrideMitDrive(CubemarsDrive):
         return frozenset((self.host_id,))
 
     @property
-    def unverified_guards(self) -> tuple[str, ...]:
+    def unverified_protections(self) -> tuple[str, ...]:
         """Return the guards that handctl cannot verify, one line each."""
-        return UNVERIFIED_GUARDS
+        return UNVERIFIED_PROTECTIONS
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status of the feedback of an enabled motor: its number."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from handctl.drives.robstride import codec
 
-WRITES = 3
+WRITE_TRIES = 3
 """Number of writes per parameter. The motor answers a write without the value, so each write is read back."""
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from handctl.hand.digit import Array
 from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.error_text import first_sentence
-from handctl.hand.file.new_file import DRIVE_LIMIT_RATIO, FLOOR_N, MOTORS_PER_BUS, SENSOR_IDS, TRIP_RATIO
+from handctl.hand.file.new_file import DRIVE_LIMIT_RATIO, MOTORS_PER_BUS, SENSOR_IDS, TENSION_FLOOR_N, TRIP_RATIO
 from handctl.hand.file.quantities import UNMEASURED
 from handctl.hand.file.sections import Digit, Motor, Mount, Section, SensorNode, Tendon
 from handctl.hand.file.toml_text import quoted
@@ -379,7 +379,7 @@ def _tendon_lines(answers: TendonAnswers) -> Iterable[_Line]:
         "friction_coefficient": None,
         "wrap_angle_rad": None,
         "rated_breaking_force_N": answers.strength_N,
-        "tension_floor_N": None if tension is None else FLOOR_N,
+        "tension_floor_N": None if tension is None else TENSION_FLOOR_N,
         "tension_max_N": tension,
         "tension_trip_N": None if tension is None else TRIP_RATIO * tension,
         "drive_limit_N": None if tension is None else DRIVE_LIMIT_RATIO * tension,

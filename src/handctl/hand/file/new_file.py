@@ -11,7 +11,7 @@ from handctl.hand.file.quantities import NAME_PATTERN
 
 DENSITY_KG_M3 = 1050.0
 """Density of printed links."""
-FLOOR_N = 2.0
+TENSION_FLOOR_N = 2.0
 """Tension floor of a new hand [N]."""
 PRELOAD_RAD = 0.6
 """Preload of the springs of a new hand [rad]."""
@@ -31,9 +31,9 @@ CLEARANCE_MM = 5.0
 """Space between the open digits and an object [mm]."""
 DIGIT_PER_PULLEY = 14.0
 """Length of a digit per moment arm at the joints. Digits of any length then press alike."""
-PASSING_MM = 2.0
+SIDE_GAP_MM = 2.0
 """Space on each side of a digit [mm]."""
-ROW_MM = 80.0
+ROW_WIDTH_MM = 80.0
 """Largest width of a row with gaps for opposed digits [mm]."""
 MOTORS_PER_BUS = 8
 """Largest number of motors on a bus. A classical bus of 1 Mbit/s carries 8 motors at 250 Hz."""
@@ -183,8 +183,8 @@ def _mount_places(answers: HandAnswers) -> list[float]:
     an object.
     """
     counts = (answers.fingers, answers.opposed)
-    passing = answers.width_mm * 2 + PASSING_MM
-    spacing = max(answers.width_mm + PASSING_MM, min(passing, ROW_MM / max(1, max(counts) - 1)))
+    passing = answers.width_mm * 2 + SIDE_GAP_MM
+    spacing = max(answers.width_mm + SIDE_GAP_MM, min(passing, ROW_WIDTH_MM / max(1, max(counts) - 1)))
     # Rows that are both even or both odd face each other unless one is moved by half a gap.
     moved = spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
     places = []
@@ -252,7 +252,9 @@ def _digit_values(answers: HandAnswers) -> str:
     count = len(lengths)
     # The floor of all tendons that cross a joint closes it, and its spring opens it.
     crossing = [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
-    stiffness = [OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * FLOOR_N / PRELOAD_RAD for tendons in crossing]
+    stiffness = [
+        OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * TENSION_FLOOR_N / PRELOAD_RAD for tendons in crossing
+    ]
     lines = [
         "[default.digit]                    # one number holds for every link",
         f"link_length_m = {_list_text(lengths)}",
@@ -290,7 +292,7 @@ knee_width_m = 0.3e-3              # ASSUMED
 friction_coefficient = 0.08        # ASSUMED: 0.05 lined, 0.15 dry
 wrap_angle_rad = 1.5708            # ASSUMED: before the first joint pulley
 rated_breaking_force_N = {_number_text(answers.strength_N)}
-tension_floor_N = {FLOOR_N}
+tension_floor_N = {TENSION_FLOOR_N}
 tension_max_N = {_number_text(answers.tension_N)}
 tension_trip_N = {trip}              # above this one valid sample relaxes the hand
 drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}              # torque_max_N_m / spool_radius_m"""

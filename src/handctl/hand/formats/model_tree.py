@@ -20,21 +20,21 @@ from handctl.hand.file.sections import MAX_LINKS
 
 MAX_ANGLE_TO_LINK_RAD = 1e-6
 """Largest angle between x and the next joint for a frame that stays as it is [rad]."""
-MEETING_M = 1e-7
+INTERSECTION_TOLERANCE_M = 1e-7
 """Largest distance of two joints whose axes meet [m]."""
-FLEXING = 0.7
+MIN_FLEXION_Y = 0.7
 """Smallest component along y of the motion of the tip, for a last frame that stays as it is."""
 CLOSED_BELOW = 0.1
 """Largest upper limit, as a fraction of the lower one, of a joint that flexes towards negative angles."""
-FACING = 0.7
+MIN_FORWARD_X = 0.7
 """Smallest component along x of the digits of a palm frame that stays as it is."""
-BEHIND_M = 0.005
+MAX_MOUNT_OFFSET_M = 0.005
 """Largest distance of the foremost mount from the plane x = 0, for a palm frame that stays there [m]."""
 MAX_PARALLEL_SINE = 0.1
 """Largest sine of the angle between a joint's axis and its link that counts as a joint about the link."""
-TIP = re.compile(r"tip|end", re.IGNORECASE)
+TIP_NAME = re.compile(r"tip|end", re.IGNORECASE)
 """Names of the frame at the end of a digit."""
-NUMBERED = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNORECASE)
+JOINT_SUFFIX = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNORECASE)
 """End of the name of a joint after the name of its digit."""
 
 
@@ -260,7 +260,7 @@ def _digit_name(links: Sequence[ModelLink], taken: set[str], count: int) -> str:
         for name in names[1:]:
             common = common[: next((i for i, (a, b) in enumerate(zip(common, name, strict=False)) if a != b), None)]
             common = common[: len(name)]
-        common = re.sub(r"\W", "_", NUMBERED.sub("", common))
+        common = re.sub(r"\W", "_", JOINT_SUFFIX.sub("", common))
         if NAME_PATTERN.fullmatch(common) and common not in taken:
             return common
     return next(name for i in range(len(taken) + 1) if (name := f"digit_{count + 1 + i}") not in taken)
@@ -280,11 +280,11 @@ def _frames(links: Sequence[ModelLink], chains: Sequence[_Chain], source: str) -
 def _frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
     """Return the frame of a link with x towards its end, and its length [m]."""
     length = float(np.linalg.norm(end))
-    if length < MEETING_M:
+    if length < INTERSECTION_TOLERANCE_M:
         return np.eye(3), 0.0
     x = end / length
     motion = np.cross(link.axis, x)
-    if np.linalg.norm(x[1:]) < MAX_ANGLE_TO_LINK_RAD and x[0] > 0.0 and not (last and motion[1] < FLEXING):
+    if np.linalg.norm(x[1:]) < MAX_ANGLE_TO_LINK_RAD and x[0] > 0.0 and not (last and motion[1] < MIN_FLEXION_Y):
         return np.eye(3), length
     z = link.axis - (link.axis @ x) * x
     if np.linalg.norm(z) < MAX_PARALLEL_SINE:
@@ -302,14 +302,18 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
         ConfigError: neither a frame nor a shape tells where it is.
     """
     link = links[i]
-    away = {name: place for name, place in link.frames.items() if np.linalg.norm(place) > MEETING_M}
-    named = [place for name, place in away.items() if TIP.search(name)]
+    away = {name: place for name, place in link.frames.items() if np.linalg.norm(place) > INTERSECTION_TOLERANCE_M}
+    named = [place for name, place in away.items() if TIP_NAME.search(name)]
     if named:
         return named[0]
     carried = [other.position for other in links if other.parent == i]
     if carried:
         # The end of a link that carries digits has no meaning. It must only be away from the joint.
-        return np.mean(carried, axis=0) if np.linalg.norm(np.mean(carried, axis=0)) > MEETING_M else carried[0]
+        return (
+            np.mean(carried, axis=0)
+            if np.linalg.norm(np.mean(carried, axis=0)) > INTERSECTION_TOLERANCE_M
+            else carried[0]
+        )
     if not len(link.points) and away:
         return next(iter(away.values()))
     if not len(link.points):
@@ -318,7 +322,7 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
     # Along the line from the joint to the middle of the shapes, up to the farthest corner.
     middle = (link.points.min(axis=0) + link.points.max(axis=0)) / 2
     across = middle - (middle @ link.axis) * link.axis
-    direction = across if np.linalg.norm(across) > MEETING_M else middle
+    direction = across if np.linalg.norm(across) > INTERSECTION_TOLERANCE_M else middle
     direction = direction / np.linalg.norm(direction)
     return np.asarray(direction * (link.points @ direction).max())
 
@@ -346,12 +350,12 @@ def _palm_frame(
     last = fingers[0].members[-1]
     closing = places[last][1] @ frames[last][0][:, 1]
     palm = np.eye(3)
-    if pointing[0] < FACING * np.linalg.norm(pointing):
+    if pointing[0] < MIN_FORWARD_X * np.linalg.norm(pointing):
         palm = max(_right_angles(), key=lambda turn: float(2 * turn[:, 0] @ pointing - turn[:, 1] @ closing))
     elif carriers != {None}:
         return palm, np.zeros(3)
     depth = mounts @ palm[:, 0]
-    origin = palm[:, 0] * depth.max() if abs(depth.max()) > BEHIND_M else np.zeros(3)
+    origin = palm[:, 0] * depth.max() if abs(depth.max()) > MAX_MOUNT_OFFSET_M else np.zeros(3)
     if not np.array_equal(palm, np.eye(3)):
         # The middle of the mounts is in front of the object.
         origin = origin + (np.eye(3) - np.outer(palm[:, 0], palm[:, 0])) @ mounts.mean(axis=0)

@@ -16,7 +16,7 @@ from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action
 
-BLOCK = 4096
+BLOCK_TICKS = 4096
 """Number of ticks held in memory at a time."""
 
 TEXT_COLUMNS = ("mode", "phase", "action")
@@ -35,7 +35,7 @@ UNITS = {
 }  # fmt: skip
 """Unit of each telemetry quantity. 1 stands for a plain number."""
 
-VARIANT = re.compile("_(goal|raw|sigma)$")
+VARIANT_SUFFIX = re.compile("_(goal|raw|sigma)$")
 """Suffixes of field names that do not change the unit."""
 
 
@@ -67,7 +67,7 @@ def column_names(log: RunLog) -> tuple[str, ...]:
 
 def column_unit(column: str) -> str:
     """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a plain number."""
-    return INTEGER_COLUMNS.get(column) or UNITS[VARIANT.sub("", column.partition("/")[0])]
+    return INTEGER_COLUMNS.get(column) or UNITS[VARIANT_SUFFIX.sub("", column.partition("/")[0])]
 
 
 def column_title(column: str) -> str:
@@ -76,13 +76,13 @@ def column_title(column: str) -> str:
 
 
 def table_blocks(log: RunLog) -> Iterator[TableBlock]:
-    """Yield the ticks of a log as tables of at most `BLOCK` rows."""
+    """Yield the ticks of a log as tables of at most `BLOCK_TICKS` rows."""
     changes = log.phases
     starts = np.array([change.k for change in changes], np.int64)
     names = [change.name for change in changes]
     rows = log.packed()
-    for start in range(0, len(log), BLOCK):
-        part = slice(start, min(start + BLOCK, len(log)))
+    for start in range(0, len(log), BLOCK_TICKS):
+        part = slice(start, min(start + BLOCK_TICKS, len(log)))
         data = b"".join(next(rows) for _ in range(part.start, part.stop))
         numbers = np.frombuffer(data, "<f8").reshape(part.stop - part.start, -1)
         phase = [names[i] for i in np.searchsorted(starts, log.k[part], "right") - 1]

@@ -192,7 +192,7 @@ def _read_bytes(body: bytes, at: int) -> tuple[bytes, int]:
     """Read a byte array, and return the array and the offset after it."""
     (size,) = struct.unpack_from("<I", body, at)
     if at + 4 + size > len(body):
-        raise ValueError("a text ends behind its record")
+        raise ValueError("a text extends beyond the end of its record")
     return body[at + 4 : at + 4 + size], at + 4 + size
 
 

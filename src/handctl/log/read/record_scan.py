@@ -88,7 +88,7 @@ class _Fields:
     def take(self, size: int) -> bytes:
         """Read `size` bytes."""
         if self._at + size > len(self._data):
-            raise ValueError("a field ends behind its record")
+            raise ValueError("a field extends beyond the end of its record")
         self._at += size
         return self._data[self._at - size : self._at]
 

@@ -66,8 +66,10 @@ def rate_difference(channel: str, link: Link, bitrate: int, data_bitrate: int | 
     if link.bitrate is None:
         return ""
     if link.bitrate != bitrate:
-        return f"{channel} runs at {link.bitrate} bit/s, the hand file says {bitrate}"
+        return f"{channel} has a bit rate of {link.bitrate} bit/s, the hand file asks for {bitrate} bit/s"
     if data_bitrate is not None and link.data_bitrate != data_bitrate:
-        runs = f"at {link.data_bitrate} bit/s" if link.data_bitrate else "without CAN FD"
-        return f"{channel}'s data phase runs {runs}, the hand file says {data_bitrate} bit/s"
+        if not link.data_bitrate:
+            return f"{channel} runs without CAN FD, but the hand file asks for a data bit rate of {data_bitrate} bit/s"
+        rates = f"a data bit rate of {link.data_bitrate} bit/s, the hand file asks for {data_bitrate} bit/s"
+        return f"{channel} has {rates}"
     return ""

@@ -52,12 +52,12 @@ CONTROL = struct.Struct("@NiillNiiI12x")
 """
 STAMP_AT = struct.calcsize("@Nii")
 """Offset of the seconds in the control messages [bytes]. The nanoseconds come next."""
-STAMPED = struct.calcsize("@Niill")
+STAMPED_LENGTH = struct.calcsize("@Niill")
 """Length of the control messages with a time stamp [bytes].
 
 With only a counter they are shorter.
 """
-COUNTED = struct.calcsize("@NiillNiiI")
+COUNTED_LENGTH = struct.calcsize("@NiillNiiI")
 """Length of the control messages with time stamp and counter [bytes]."""
 _TAIL = ctypes.sizeof(_Header) - _Header.size.offset - ctypes.sizeof(ctypes.c_uint)
 _GAP = _Header.size.offset - _Message.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
@@ -134,7 +134,7 @@ class Slots:
         if raw != self._last_size[0]:
             kinds = set(_HEADER.iter_unpack(raw))
             length, size = kinds.pop()
-            self._last_size = raw, 0 if kinds or length != STAMPED else size
+            self._last_size = raw, 0 if kinds or length != STAMPED_LENGTH else size
         return self._last_size[1]
 
     def datagrams(self, count: int) -> list[Datagram]:
@@ -143,8 +143,8 @@ class Slots:
         control = CONTROL.iter_unpack(self.control[: count * CONTROL.size])
         result = []
         for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped) in zip(sizes, control, strict=True):
-            stamped = length >= STAMPED and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
-            counted = length >= COUNTED and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
+            stamped = length >= STAMPED_LENGTH and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
+            counted = length >= COUNTED_LENGTH and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
             result.append((size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0))
         return result
 

@@ -122,7 +122,7 @@ def _check_configures(device: DeviceUnderTest) -> str:
     rig = device.rig
     if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
         raise Failed(rig.state.error_text or f"stays in {rig.state.phase.name}")
-    return "; ".join(rig.drive.unverified_guards or ("settings read back",))
+    return "; ".join(rig.drive.unverified_protections or ("settings read back",))
 
 
 def _enable(rig: DriveRig) -> None:
@@ -288,7 +288,7 @@ def _check_watchdog(device: DeviceUnderTest) -> str:
     silence = max(SILENCE_S, 3.0 * device.watchdog_s)
     rig.keep(DriveTarget.LISTEN, silence)
     if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
-        hint = f" ({rig.drive.unverified_guards[0]})" if rig.drive.unverified_guards else ""
+        hint = f" ({rig.drive.unverified_protections[0]})" if rig.drive.unverified_protections else ""
         raise Failed(f"still enabled after {silence * 1e3:.0f} ms without a command{hint}")
     text = rig.state.error_text
     rig.keep(DriveTarget.ENABLE, 0.3)

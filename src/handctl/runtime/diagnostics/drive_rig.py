@@ -11,7 +11,7 @@ from handctl.runtime.clocks.real import Clock
 
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""
-SPAN = 4
+VELOCITY_TICKS = 4
 """Number of ticks for the computation of the velocity from positions."""
 
 
@@ -51,7 +51,7 @@ class DriveRig:
         self.inertia = math.nan
         self.events: list[tuple[str, str, int]] = []
         self.idle_command: Callable[[DriveState], float] = _no_torque
-        self._positions = [math.nan] * (SPAN + 1)
+        self._positions = [math.nan] * (VELOCITY_TICKS + 1)
         clock.start()
 
     def take(self, drive: Drive) -> None:
@@ -67,7 +67,7 @@ class DriveRig:
     @property
     def velocity(self) -> float:
         """Return the velocity from the last positions [rad/s], NaN while there are too few positions."""
-        return (self._positions[-1] - self._positions[0]) / (SPAN * PERIOD_NS * 1e-9)
+        return (self._positions[-1] - self._positions[0]) / (VELOCITY_TICKS * PERIOD_NS * 1e-9)
 
     def tick(self, target: DriveTarget, torque: float | None = None, extra: Sequence[Frame] = ()) -> DriveState:
         """Run one tick and return the state after it.

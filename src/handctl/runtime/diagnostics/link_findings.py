@@ -32,13 +32,13 @@ class LinkFinding(NamedTuple):
     """One finding about an interface.
 
     Attributes:
-        what: observation.
+        observation: what was found.
         good: True if nothing needs to be corrected.
         fix: command or advice to correct the problem.
         fatal: True if the bus cannot be used.
     """
 
-    what: str
+    observation: str
     good: bool
     fix: str = ""
     fatal: bool = False

@@ -68,5 +68,5 @@ def _measure_once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
             first = time.perf_counter() - start
         if answers > 1:
             break
-        time.sleep(0.0001 if passed < 0.01 else 0.002)  # fine at first, then sparing of the processor
+        time.sleep(0.0001 if passed < 0.01 else 0.002)  # often at first for accuracy, then rarely, to use less CPU time
     return first, answers > 1

@@ -41,7 +41,7 @@ PRIOR = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 100.0}
 
 Masses are weighed, so they are well known. The stretch offset is practically unknown.
 """
-SOFTNESS = 0.04
+STOP_SOFTNESS = 0.04
 """Compliance of the open stop, as a fraction of the tendon's in the hand file, with an uncertainty of half.
 
 This is an assumption, because for the load cell tendon and stop are springs in series, and no
@@ -53,9 +53,9 @@ DEFAULT_PRIOR_DEVIATION = 3.0
 
 This prior keeps a fit finite if the data do not determine a parameter.
 """
-OFFSET_N = 1.0
+TARE_SIGMA_N = 1.0
 """Prior standard deviation of the offset of a tared load cell [N]."""
-KNOT_S = 1.0
+DRIFT_KNOT_S = 1.0
 """Time between the knots of the drift [s]."""
 STOP_BIN_S = 0.05
 """Length of bins at the open stop [s].
@@ -129,11 +129,11 @@ class Problem:
             free=bins(data, data.free, moving=True),
             stop=bins(data, stop, moving=False, bin_s=STOP_BIN_S),
             slack=bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
-            knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / KNOT_S) + 1)),
+            knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
             sigma=_cell_noise(data.tension[data.slack | stop], hand.sensor_node.tension_noise_N),
             # A random walk: its standard deviation grows with the root of time, and the file states
             # it for 100 s.
-            step=max(hand.sensor_node.tension_bias_drift_N, 1e-3) * (KNOT_S / 100.0) ** 0.5,
+            step=max(hand.sensor_node.tension_bias_drift_N, 1e-3) * (DRIFT_KNOT_S / 100.0) ** 0.5,
         )
 
     def start(self) -> Array:
@@ -204,7 +204,7 @@ class Problem:
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
         """Return the residuals of drift and prior knowledge."""
         spread = np.array([PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in NAMES])
-        return [np.diff(drift) / self.step, drift[:1] / OFFSET_N, (z[: len(NAMES)] - 1.0) / spread]
+        return [np.diff(drift) / self.step, drift[:1] / TARE_SIGMA_N, (z[: len(NAMES)] - 1.0) / spread]
 
 
 def parameter_scales(hand: Hand, tendon: str) -> Array:
@@ -214,7 +214,7 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
     scales = np.array([
         1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, SCALE_DELAY_S,
         known.stiffness_N_per_m, 1.0, 1.0, known.friction_coefficient, 1.0, 1.0,
-        SCALE_OFFSET_M, SOFTNESS, 1.0, known.pretension_N or 1.0,
+        SCALE_OFFSET_M, STOP_SOFTNESS, 1.0, known.pretension_N or 1.0,
     ])  # fmt: skip
     # A parameter that the hand file sets to zero still needs a scale.
     return np.where(scales > 0.0, scales, 1e-3)
@@ -250,7 +250,7 @@ class Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """Return the parameters in SI units, or as factors."""
+        """Return the parameters. Those that scale a value of the hand file have no unit, the others SI units."""
         return dict(zip(NAMES, (self.z[: len(NAMES)] * self.problem.nominal).tolist(), strict=True))
 
     @property

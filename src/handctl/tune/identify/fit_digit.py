@@ -28,7 +28,7 @@ SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "lin
 
 The capstan coefficients of the tendons come after these.
 """
-HALF_S = 0.01
+HALF_WINDOW_S = 0.01
 """Time before and after a joint reading over which signals are averaged [s]."""
 MIN_SPEED_M_S = 2.5e-3
 """Smallest speed required of every tendon [m/s].
@@ -77,7 +77,7 @@ class Balance:
             fits: fits of the same tendons.
         """
         first_tendon = data[0]
-        reach = max(1, round(HALF_S / data[0].period))
+        reach = max(1, round(HALF_WINDOW_S / data[0].period))
         free = np.all([average_samples(tendon.free.astype(float), reach) > 0.999 for tendon in data], axis=0)
         cells = [
             average_samples(tendon.tension - _cell_drift(tendon, fit), reach)

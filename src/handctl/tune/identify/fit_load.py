@@ -33,9 +33,9 @@ MIN_SPEED_M_S = 4e-3
 
 At lower speeds the direction of friction is not known at every pulley.
 """
-GRID = np.radians(np.linspace(0.0, 110.0, 23))
+TABLE_ANGLES_RAD = np.radians(np.linspace(0.0, 110.0, 23))
 """Mean joint angles for the table of inertia and weight [rad]."""
-STEPS = 14
+NEWTON_STEPS = 14
 """Number of Newton steps to solve for the tension."""
 STEP_RAD = 1e-4
 """Step of the numerical derivative of a moment arm [rad]."""
@@ -164,8 +164,8 @@ class DigitLoad:
             preload=np.array(digit.spring_preload),
             damping=np.array(digit.joint_damping),
             wrap=float(digit.wrap[0]),
-            inertia=np.array([mass_matrix(digit, [q] * n).sum(axis=1) for q in GRID.tolist()]),
-            weight=np.array([gravity_torque(digit, [q] * n) for q in GRID.tolist()]),
+            inertia=np.array([mass_matrix(digit, [q] * n).sum(axis=1) for q in TABLE_ANGLES_RAD.tolist()]),
+            weight=np.array([gravity_torque(digit, [q] * n) for q in TABLE_ANGLES_RAD.tolist()]),
             varying=digit if digit.has_varying_arm else None,
         )
 
@@ -173,8 +173,10 @@ class DigitLoad:
         """Return the common angle of all joints (m,) with an excursion (m,) [rad]."""
         if self.varying is None:
             return np.asarray(excursion / self.arms.sum())
-        grid = [float(self.varying.excursion_at(np.full(len(self.arms), angle))[0]) for angle in GRID.tolist()]
-        return np.interp(excursion, grid, GRID)
+        grid = [
+            float(self.varying.excursion_at(np.full(len(self.arms), angle))[0]) for angle in TABLE_ANGLES_RAD.tolist()
+        ]
+        return np.interp(excursion, grid, TABLE_ANGLES_RAD)
 
     def _joint(self, i: int, q: Array) -> tuple[Array | float, Array | float, Array]:
         """Return moment arm [m], its derivative [m/rad] and excursion [m] of joint i at angles (m,) [rad]."""
@@ -191,13 +193,16 @@ class DigitLoad:
     def tension(self, p: LoadParameters, means: Bins) -> Array:
         """Return the load-cell tension (m,) expected for a freely moving digit [N]."""
         total = self.arms.sum()
-        mean = np.clip(self.mean_angle(means.travel - p.offset), 0.0, GRID[-1])
+        mean = np.clip(self.mean_angle(means.travel - p.offset), 0.0, TABLE_ANGLES_RAD[-1])
         rate = means.speed / total
         acceleration = means.acceleration / total
         extra = [
             p.damping * self.damping[i] * rate
             + p.mass
-            * (np.interp(mean, GRID, self.inertia[:, i]) * acceleration + np.interp(mean, GRID, self.weight[:, i]))
+            * (
+                np.interp(mean, TABLE_ANGLES_RAD, self.inertia[:, i]) * acceleration
+                + np.interp(mean, TABLE_ANGLES_RAD, self.weight[:, i])
+            )
             for i in range(len(self.arms))
         ]
         friction_exponent = -p.friction * np.sign(means.speed)
@@ -206,7 +211,7 @@ class DigitLoad:
         f = np.full_like(mean, 10.0)
         # Newton's method on the travel: the joints follow from the tension one by one, from the
         # palm on.
-        for _ in range(STEPS):
+        for _ in range(NEWTON_STEPS):
             angle = np.full_like(mean, self.wrap)
             excursion = f / p.stiffness
             slope = np.full_like(mean, 1.0 / p.stiffness)

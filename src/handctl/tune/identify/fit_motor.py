@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from handctl.tune.identify.data import Array, TendonData
 
-HALF_S = 0.022
+HALF_WINDOW_S = 0.022
 """Half the length of a window [s].
 
 A window of this length passes the motion of a hand's motor, and contains ten load-cell samples at
@@ -83,7 +83,7 @@ class WindowWeights(NamedTuple):
     @staticmethod
     def of(period: float) -> "WindowWeights":
         """Return the weights at a control period [s]."""
-        half = max(MIN_HALF_SAMPLES, round(HALF_S / period))
+        half = max(MIN_HALF_SAMPLES, round(HALF_WINDOW_S / period))
         half_s = half * period
         samples = np.arange(-half, half + 1)
         s = np.asarray(samples / half, np.float64)

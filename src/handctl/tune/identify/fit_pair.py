@@ -75,7 +75,7 @@ FIRST_NOISE_N = 0.3
 """Standard deviation of the motor equation in the first fit [N]. The second fit uses that of the residuals."""
 MIN_NOISE_N = 0.02
 """Smallest standard deviation of the motor equation [N]."""
-STARTS = (1.0, 1.5, 2.2)
+START_FACTORS = (1.0, 1.5, 2.2)
 """Factors on the pretension of the hand file from which the fit begins."""
 MIN_READINGS = 3
 """Smallest number of joint readings in a window whose stretch is used."""
@@ -320,9 +320,7 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
     scales = parameter_scales(hand, own.tendon)
     problem = PairProblem(windows, motor.spool_radius_m, scales, FIRST_NOISE_N, reading, _start(windows))
     times = np.tile(windows.motor.t, 2)
-    tried = [
-        solve_least_squares(problem.residuals, start, problem.bounds(), times) for start in _starts(problem.start)
-    ]
+    tried = [solve_least_squares(problem.residuals, start, problem.bounds(), times) for start in _starts(problem.start)]
     first = min(tried, key=lambda solution: _robust_cost(problem.residuals(solution.z)))
     problem = problem.with_noise_of(first.z)
     solution = solve_least_squares(problem.residuals, first.z, problem.bounds(), times)
@@ -346,7 +344,7 @@ def _starts(first: Array) -> list[Array]:
     stiffness. No small step leads from there to the right parameters.
     """
     starts = []
-    for factor in STARTS:
+    for factor in START_FACTORS:
         start = first.copy()
         start[PAIR_PARAMETERS.index("pretension")] *= factor
         starts.append(start)

@@ -17,7 +17,7 @@ from handctl.tune.identify.fit import MAX_HALF_WIDTH, NAMES, SCALE_DELAY_S, Fit
 
 MAX_CORRELATION = 0.95
 """Correlation above which two parameters are reported as trading off."""
-SEGMENTS = 6
+COHERENCE_SEGMENTS = 6
 """Number of parts of the excitation over which coherence is averaged.
 
 With a single part, coherence is always 1.
@@ -183,5 +183,5 @@ def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
     if len(force) < 64:
         return np.zeros(0), np.zeros(0)
     speed = np.gradient(travel, data.period)
-    f, c = coherence(force, speed, fs=1.0 / data.period, nperseg=max(64, len(force) // SEGMENTS))
+    f, c = coherence(force, speed, fs=1.0 / data.period, nperseg=max(64, len(force) // COHERENCE_SEGMENTS))
     return np.asarray(f), np.asarray(c)

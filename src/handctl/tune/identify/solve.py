@@ -18,7 +18,7 @@ MIN_FREEDOM = 3.0
 """Smallest degrees of freedom of an interval."""
 MIN_VARIANCE_FRACTION = 1e-9
 """Squared contribution of the data to a parameter below which only the prior determines the parameter."""
-STEPS = 40
+MAX_SOLVER_STEPS = 40
 """Largest number of steps of the solver.
 
 If more are needed, the data do not determine the parameters.
@@ -66,7 +66,7 @@ def solve_least_squares(
         bounds: lower and upper bounds of the parameters.
         times: time of every data row [s].
     """
-    run = partial(least_squares, x_scale="jac", bounds=bounds, max_nfev=STEPS)
+    run = partial(least_squares, x_scale="jac", bounds=bounds, max_nfev=MAX_SOLVER_STEPS)
     # A soft L1 loss limits the pull of outliers in the first round.
     first = run(residuals, start, loss="soft_l1", f_scale=OUTLIER_RESIDUAL)
     weight = np.ones_like(first.fun)

@@ -50,13 +50,13 @@ MAX_FORCE_N = 400.0
 """Largest authority of the search [N]."""
 LOG_FORCE_STEP = math.log(1.7)
 """Step of the search, in the natural logarithm of the force."""
-STEPS = 5
+BISECTIONS = 5
 """Number of bisections of the last step, for an accuracy of two per cent."""
 FINE_STRIDE = math.log(1.03)
 """Step down from the result of the search until the confirmed margins are kept."""
 FINE_STEPS = 6
 """Largest number of these steps."""
-RETREATS = 3
+FORCE_REDUCTIONS = 3
 """Number of steps by which both forces are reduced if the margins are kept but the proof fails."""
 FORCE_RATIO = 2.0
 """Ratio of a tendon's authority to that of all tendons above which the tendon gets a force of its own."""
@@ -333,7 +333,7 @@ def design_gains(
 def _with_less_and_less_authority(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[HandModel]:
     """Yield the gains, then gains with decreasing authority that keep the margins."""
     yield model
-    for step in range(1, RETREATS + 1):
+    for step in range(1, FORCE_REDUCTIONS + 1):
         less = _with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
         if keeps_required_margins(less, plants):
             yield less
@@ -394,7 +394,7 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
     if best is None:
         return None
     high = min(at, math.log(MAX_FORCE_N))
-    for _ in range(STEPS):
+    for _ in range(BISECTIONS):
         middle = (best + high) / 2.0
         if keeps(middle):
             best = middle

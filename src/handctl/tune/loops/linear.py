@@ -52,11 +52,11 @@ SPEED_M_S = 0.015
 """Tendon speed of the operating point, at which friction is saturated [m/s]."""
 ANGLE_RAD = 0.6
 """Joint angle of the operating point, between the stops [rad]."""
-STEP = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
+DIFFERENCE_STEPS = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
 """Steps of the finite differences: travel [m], tension [N], and states as a fraction of their size."""
 UNLIMITED = 1e12
 """Motor torque limit [N m] and force limit [N] so large that no gain reaches these limits."""
-DEVELOPED_N = 1e4
+MOVING_TENSION_N = 1e4
 """Expected tension of a moving digit, chosen far beyond its friction band [N].
 
 The expectation is then at the edge of the band.
@@ -191,7 +191,7 @@ def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> System:
     n = len(state)
     centre = tick(state, reading)
     columns = [_central_difference(partial(_tick_with_state, tick, state, reading, j), scale[j]) for j in range(n)]
-    steps = (STEP["travel"], STEP["tension"], STEP["travel"])
+    steps = (DIFFERENCE_STEPS["travel"], DIFFERENCE_STEPS["tension"], DIFFERENCE_STEPS["travel"])
     entries = [_central_difference(partial(_tick_with_reading, tick, state, reading, j), steps[j]) for j in range(3)]
     J = np.column_stack(columns)
     E = np.column_stack(entries)
@@ -260,12 +260,12 @@ def _tick_with_reading(tick: _Tick, state: Matrix, reading: Matrix, j: int, step
     return tick(state, moved)
 
 
-ROWS = [*range(s.TRAVEL, s.STRETCH_OFFSET + 1), s.SETPOINT, s.INTEGRAL, s.FORCE, s.PLANNED, s.RATE]
+STATE_ROWS = [*range(s.TRAVEL, s.STRETCH_OFFSET + 1), s.SETPOINT, s.INTEGRAL, s.FORCE, s.PLANNED, s.RATE]
 """State rows of a tendon in the feedback: first those of the filter, then those of the control law."""
-READ = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
+MEASUREMENT_ROWS = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
 """State rows with the tendon's measurements."""
 _STATE_SIZE = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
-"""Typical sizes of the states in `ROWS`, to scale the finite differences.
+"""Typical sizes of the states in `STATE_ROWS`, to scale the finite differences.
 
 The sizes are powers of two, so that the difference of a copied state is exactly one.
 """
@@ -313,14 +313,19 @@ def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Ti
     def tick(values: Matrix, reading: Matrix) -> Matrix:
         block = point.copy()
         table = bench.layout.table(block, "tendon")
-        table[ROWS, tendon] = values
-        table[READ, tendon] = reading
+        table[STATE_ROWS, tendon] = values
+        table[MEASUREMENT_ROWS, tendon] = reading
         bench.estimate(block)
         bench.act(block)
-        return np.append(table[ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon])
+        return np.append(table[STATE_ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon])
 
     table = bench.layout.table(point, "tendon")
-    return tick, table[ROWS, tendon].copy(), table[READ, tendon].copy(), _STATE_SIZE * STEP["state"]
+    return (
+        tick,
+        table[STATE_ROWS, tendon].copy(),
+        table[MEASUREMENT_ROWS, tendon].copy(),
+        _STATE_SIZE * DIFFERENCE_STEPS["state"],
+    )
 
 
 def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
@@ -354,7 +359,7 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     bench.estimate(estimated)
     reached = layout.table(estimated, "tendon")
     table[s.SETPOINT] = reached[s.TENSION]
-    table[s.PLANNED] = DEVELOPED_N if moving else TENSION_N
+    table[s.PLANNED] = MOVING_TENSION_N if moving else TENSION_N
     goals = tuple(_hold_goal(tendons) for tendons in model.digit_tendons)
     if moving:
         goals = tuple(

@@ -31,7 +31,7 @@ PHASE_MARGIN_DEG = 45.0
 """Smallest phase margin allowed for tuned gains on any plant of an ensemble [deg]."""
 LOWEST_HZ = 0.3
 """Lowest frequency of a frequency response [Hz]."""
-POINTS = 300
+SEARCH_POINTS = 300
 """Number of frequencies of a response in a search."""
 FINE_POINTS = 3000
 """Number of frequencies of a response for reported margins."""
@@ -41,9 +41,9 @@ MAX_GAIN_DB = 60.0
 """Largest reported gain margin [dB]. Larger margins are not confirmed."""
 MAX_DELAY_S = 0.1
 """Largest reported delay margin [s]. Larger margins are not confirmed."""
-SIZES = 10
-"""Fractions of a margin at which the eigenvalues are computed."""
-DIRECTIONS = 6
+CHECKED_FRACTIONS = 10
+"""Number of fractions of a margin at which the eigenvalues are computed."""
+DISK_DIRECTIONS = 6
 """Number of directions on the disk in which the eigenvalues are computed."""
 
 
@@ -105,12 +105,12 @@ def smaller_margins(first: Margins, second: Margins) -> Margins:
     )
 
 
-def frequency_grid(period: float, points: int = POINTS) -> Matrix:
+def frequency_grid(period: float, points: int = SEARCH_POINTS) -> Matrix:
     """Return angular frequencies (points,) from a third of a hertz to just below half the sampling rate [rad/s]."""
     return np.geomspace(2.0 * math.pi * LOWEST_HZ, 0.999 * math.pi / period, points)
 
 
-def margins_of_loop(system: System, points: int = POINTS) -> Margins:
+def margins_of_loop(system: System, points: int = SEARCH_POINTS) -> Margins:
     """Return the margins of a loop L with 1 + L in the denominator.
 
     The margins of an unstable loop and of a loop without gain are zero.
@@ -170,7 +170,7 @@ def confirmed_margins(system: System) -> Margins:
     if not result.stable or result.phase_deg == 0.0:
         return result
     ticks = int(min(result.delay_s, MAX_DELAY_S) / system.period)
-    delays = np.unique(np.linspace(0, ticks, SIZES + 1).astype(int))[1:].tolist()
+    delays = np.unique(np.linspace(0, ticks, CHECKED_FRACTIONS + 1).astype(int))[1:].tolist()
     first_unstable = next((i for i, k in enumerate(delays) if not is_stable(system, delay=k)), None)
     return replace(
         result,
@@ -181,7 +181,9 @@ def confirmed_margins(system: System) -> Margins:
         phase_deg=_largest_confirmed(
             result.phase_deg, lambda x: _stable_with_all(system, (np.exp(1j * math.radians(x)),))
         ),
-        disk=_largest_confirmed(result.disk, lambda x: _stable_with_all(system, _disk_factors(x)), SIZES // 3),
+        disk=_largest_confirmed(
+            result.disk, lambda x: _stable_with_all(system, _disk_factors(x)), CHECKED_FRACTIONS // 3
+        ),
         delay_s=min(result.delay_s, MAX_DELAY_S)
         if first_unstable is None
         else [0, *delays][first_unstable] * system.period,
@@ -198,17 +200,19 @@ def _disk_factors(size: float) -> NDArray[np.complex128]:
 
     The mirror image of a factor gives the same eigenvalues, so only half of the edge is returned.
     """
-    delta = size * np.exp(1j * np.linspace(0.0, np.pi, DIRECTIONS))
+    delta = size * np.exp(1j * np.linspace(0.0, np.pi, DISK_DIRECTIONS))
     return np.asarray((2.0 + delta) / (2.0 - delta))
 
 
-def _largest_confirmed(margin: float, is_confirmed: Callable[[float], bool], sizes: int = SIZES) -> float:
+def _largest_confirmed(
+    margin: float, is_confirmed: Callable[[float], bool], fractions: int = CHECKED_FRACTIONS
+) -> float:
     """Return the largest part of a margin up to which all tested fractions are confirmed.
 
     The last hundredth of a margin is not tested, because of the interpolation of the frequency
     response.
     """
-    tried = margin * np.linspace(0.0, 0.99, sizes + 1)[1:]
+    tried = margin * np.linspace(0.0, 0.99, fractions + 1)[1:]
     for before, at in zip([0.0, *tried[:-1]], tried, strict=True):
         if not is_confirmed(float(at)):
             return float(before)

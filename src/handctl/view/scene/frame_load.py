@@ -11,7 +11,7 @@ from handctl.view.scene.run_info import RunInfo
 
 MAX_PAYLOAD = 64
 """Largest payload of a frame [bytes]."""
-SPAN_NS = 100_000_000
+LOAD_WINDOW_NS = 100_000_000
 """Window of the load [ns].
 
 The reply to a tick may be read in the next tick, so the load of a single tick is not meaningful.
@@ -19,7 +19,7 @@ The reply to a tick may be read in the next tick, so the load of a single tick i
 
 
 class FrameLoad:
-    """Load of each bus: worst-case time of the frames as a fraction of the last `SPAN_NS`.
+    """Load of each bus: worst-case time of the frames as a fraction of the last `LOAD_WINDOW_NS`.
 
     Ticks must be passed in order.
     """
@@ -57,8 +57,8 @@ class FrameLoad:
         )
         total = np.concatenate([np.zeros((1, spent.shape[1]), np.int64), np.cumsum(spent, axis=0)])
         # Differences of the running total give the sums over the window.
-        first = np.searchsorted(t, now - SPAN_NS, side="right")
-        span = np.clip(now + self._period_ns, self._period_ns, SPAN_NS)
+        first = np.searchsorted(t, now - LOAD_WINDOW_NS, side="right")
+        span = np.clip(now + self._period_ns, self._period_ns, LOAD_WINDOW_NS)
         self._t = t[first[-1] :]
         self._spent = spent[first[-1] :]
         return np.asarray((total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64)

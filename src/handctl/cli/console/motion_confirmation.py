@@ -21,7 +21,7 @@ HOUR_S = 3600.0
 DAY_S = 86400.0
 
 
-def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Calibration | None) -> None:
+def announce_motion(args: argparse.Namespace, plan: Plan, path: Path, calibration: Calibration | None) -> None:
     """Print the files in use, then on a real bus ask the operator once if the hand may move.
 
     Args:
