@@ -83,8 +83,26 @@ def random_hand(tendons: int, random: Random) -> Hand:
     }
     hand = hand_from_content(made, "random.toml")
     hand = with_drives(hand, str(random.choice(GUARDED)))
-    motors = [one.model_copy(update={"node_id": FIRST_NODE + n % ON_A_BUS}) for n, one in enumerate(hand.motor)]
+    servos = _motors_with_position_loop(hand, random)
+    motors = [
+        one.model_copy(
+            update={"node_id": FIRST_NODE + n % ON_A_BUS, "control": "position" if one.name in servos else None}
+        )
+        for n, one in enumerate(hand.motor)
+    ]
     return hand.model_copy(update={"motor": tuple(motors)})
+
+
+def _motors_with_position_loop(hand: Hand, random: Random) -> set[str]:
+    """Return about half of the motors that may close a position loop: those of digits without antagonists."""
+    if hand.motor[0].protocol not in ("mit", "robstride"):
+        return set()
+    allowed = set[str]()
+    for digit in hand.digit:
+        tendons = hand.tendon[hand.digit_tendons[digit.name]]
+        if len(tendons) <= (len(digit.joints) if digit.coupling is None else 1):
+            allowed |= {tendon.motor for tendon in tendons}
+    return {name for name in sorted(allowed) if random.random() < 0.5}
 
 
 def _arms(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
@@ -139,13 +157,16 @@ class RandomHand:
         self.speed = self.random.normal(0.0, 2.0, tendons)
         self.angle = np.zeros(len(hand.joints))
         self.digits = hand.digit_names
+        # A drive closes the position loop of a taut tendon only.
+        self.pull = 20.0 if any(motor.holds_position for motor in hand.motor) else 0.0
 
     def frames(self, t_ns: int) -> tuple[Frame, ...]:
         """Return the frames of a tick: motors wind, tensions follow, and some frames are disturbed."""
         random, period = self.random, 1.0 / RATE_HZ
         self.speed = 0.9 * self.speed + random.normal(0.0, 1.0, len(self.speed))
         self.position += self.speed * period
-        self.tension = np.clip(400.0 * self.position + random.normal(0.0, 0.5, len(self.tension)), 0.0, 130.0)
+        pulls = self.pull + 400.0 * self.position + random.normal(0.0, 0.5, len(self.tension))
+        self.tension = np.clip(pulls, 0.0, 130.0)
         self.angle += random.normal(0.01, 0.02, len(self.angle))
         messages = []
         for n, drive in enumerate(self.controller.drives):
@@ -173,6 +194,8 @@ class RandomHand:
 
     def requests(self, i: int) -> tuple[str, ...]:
         """Return the requests of a tick: moves of some digits, and tensions of others."""
+        if self.pull and i == 2:
+            return (json.dumps({"do": "move", "angle_deg": dict.fromkeys(self.digits, 30.0), "duration_s": 0.2}),)
         if i % 8 != 2:
             return ()
         name = str(self.random.choice(self.digits))

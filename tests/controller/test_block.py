@@ -103,7 +103,9 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
 def state(request: pytest.FixtureRequest) -> State:
     """Return a random state whose integers and floats all differ."""
     model: HandModel = request.getfixturevalue(request.param)
-    layout, rng = layout_of_state(model, 3), np.random.default_rng(5)
+    # A position loop in a drive, so that no table is empty.
+    axes = layout_of_state(model, 3).axes | {"servo": model.tendon_count}
+    layout, rng = STATE.layout(axes), np.random.default_rng(5)
     block = layout.initial.copy()
     for field in STATE.fields:
         part = layout.view(block, field.name)

@@ -91,6 +91,18 @@ CASES = {
         set_values("motor", 0, torque_peak_N_m=0.7),
         "motor[index_motor].torque_max_N_m: 0.8; expected at most torque_peak_N_m = 0.7 N m",
     ),
+    "stiffness of a position loop without the loop": (
+        set_values("motor", 0, kp_N_m_per_rad=1.0),
+        'motor[index_motor].kp_N_m_per_rad: 1; expected no such key without control = "position"',
+    ),
+    "position loop stiffer than the tendon": (
+        set_values("motor", 0, control="position", kp_N_m_per_rad=3.0),
+        "motor[index_motor].kp_N_m_per_rad: 3; expected at most stiffness_N_per_m x spool_radius_m^2 = 2.5 N m/rad",
+    ),
+    "unknown control": (
+        set_values("motor", 0, control="velocity"),
+        'motor[index_motor].control: "velocity"; expected "torque" or "position"',
+    ),
     "same node id": (
         set_values("motor", 1, node_id=1),
         'motor[middle_motor].node_id: 0x1 on bus "main" is taken; expected another identifier; '

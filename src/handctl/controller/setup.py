@@ -20,7 +20,10 @@ from handctl.drives.identifiers import check_identifiers
 from handctl.drives.registry import make_drive
 from handctl.drives.sensors.contract import Sensors
 from handctl.drives.sensors.node import SensorNode
+from handctl.drives.signals import Quantity
+from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.file.sections import Motor
 from handctl.hand.load import hand_from_content, parse_toml
 from handctl.programs.calibration import Calibration
 from handctl.programs.commission import CommissionProgram
@@ -159,11 +162,36 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
     drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
+    for motor, drive in zip(motors, drives, strict=True):
+        _check_position_loop(motor, drive)
     sensors = make_sensors(hand)
     named = [(f"motor[{drive.name}].node_id", drive) for drive in drives]
     where = "sensor_node.node_ids" if hand.sensor_node.is_cia404 else "sensor_node.base_id"
     check_identifiers([(where, sensors), *named])
     return _with_sync(drives, sensors)
+
+
+def _check_position_loop(motor: Motor, drive: Drive) -> None:
+    """Check that the commands of a motor's drive can carry a position loop and its gains.
+
+    Raises:
+        ConfigError: they cannot.
+    """
+    if not motor.holds_position:
+        return
+    where = f"motor[{motor.name}]"
+    message = drive.cyclic.position
+    if message is None:
+        right = 'mit, cubemars, robstride or robstride_mit with control = "position"'
+        raise ConfigError(f'"{motor.protocol}"', f"{where}.protocol", right)
+    given = {Quantity.STIFFNESS: "kp_N_m_per_rad", Quantity.DAMPING: "kd_N_m_s_per_rad"}
+    for signal in message.signals:
+        value = getattr(motor, given[signal.quantity]) if signal.quantity in given else None
+        largest = ((1 << signal.length) - 1) * signal.scale
+        smallest = signal.scale if signal.quantity == Quantity.STIFFNESS else 0.0
+        if value is not None and not smallest <= value <= largest:
+            right = f"{smallest:.3g} to {largest:g} {signal.unit}, the codes of {motor.protocol}"
+            raise ConfigError(f"{value:g}", f"{where}.{given[signal.quantity]}", right)
 
 
 def _with_sync(drives: tuple[Drive, ...], sensors: Sensors) -> tuple[Drive, ...]:

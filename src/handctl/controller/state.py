@@ -110,6 +110,7 @@ def layout_of_state(model: HandModel, groups: int) -> Layout:
         "group": groups,
         "instance": max(n + 1, joints),
         "run": 1,
+        "servo": n if any(motor.holds_position for motor in model.hand.motor) else 0,
     })  # fmt: skip
 
 

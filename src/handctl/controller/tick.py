@@ -126,7 +126,12 @@ class Controller:
             "layout": layout,
             "constants": constants,
             "_constants": (constants.block, constants.layout.places),
-            "wire": Wire(self.drives, self.sensors),
+            "wire": Wire(
+                self.drives,
+                self.sensors,
+                _motors_with_position_loop(self.model),
+                self.model.torque_gain,
+            ),
             "gather": TelemetryGatherer(layout),
             "owners": owners,
             "amplifier_of": amplifiers,
@@ -471,7 +476,8 @@ class Controller:
             if target == DriveTarget.ENABLE:
                 first, count = wire.encode_commands(
                     state.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
-                    tables.templates, torque, first, count,
+                    tables.templates, torque, tables.servos, tables.servo_wholes,
+                    tables.servo_reals, first, count,
                 )  # fmt: skip
             if first >= n:
                 break
@@ -481,6 +487,8 @@ class Controller:
                 drive_state, frames = drive.clear(drive_state)
             else:
                 drive_state, frames = drive.advance(drive_state, t_ns, target, float(torque[first]))
+                if tables.servos[first] >= 0:
+                    send_torque_only(state, first)
             self.keep(state, first, drive_state)
             if frames:
                 parts += [Frames.of_rows(out[pending_row:count]), frames_as_records(frames)]
@@ -488,6 +496,18 @@ class Controller:
             first += 1
         rest = Frames.of_rows(out[pending_row:count])
         return join_frames([*parts, rest]) if parts else rest
+
+
+def _motors_with_position_loop(model: HandModel) -> list[bool]:
+    """Return for each tendon whether the drive of its motor closes the position loop."""
+    return [model.hand.motor_of(name).holds_position for name in model.hand.tendon_names]
+
+
+def send_torque_only(state: State, n: int) -> None:
+    """Store that the state machine of a drive has sent the torque alone, without the position."""
+    servo = state.layout.table(state.block, "servo")
+    servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
+    servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]
 
 
 _ACTIONS = {int(action): action for action in Action}

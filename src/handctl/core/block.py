@@ -7,7 +7,8 @@ rows.
 
 Axes: tendon N (motors have the index of their tendon), joint J, digit D, coordinate C (reduced
 coordinates of all digits), node N + 1 (motors, then the load cells), group G (frames of the sensor
-node), instance (of a fault), and run, of length 1.
+node), instance (of a fault), run, of length 1, and servo: N if a drive of the hand closes a position
+loop, else 0.
 """
 
 import math
@@ -20,14 +21,14 @@ from handctl.compiled import borrow, inner
 from handctl.core.schema import Block, Places, Schema
 
 NAN = math.nan
-AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
+AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run", "servo")
 """Axes, in the order of the lengths at the start of a layout."""
 TABLES = (
-    "tendon", "joint", "digit", "coordinate", "run",
+    "tendon", "joint", "digit", "coordinate", "run", "servo",
     "tendon_int", "joint_int", "digit_int", "node_int", "group_int", "instance_int", "run_int",
 )  # fmt: skip
 
-STATE = Schema(*TABLES)
+STATE = Schema(*TABLES, optional="servo")
 _real = STATE.real
 _whole = STATE.whole
 
@@ -155,6 +156,16 @@ JOINT_TORQUE = _real("joint_torque", "joint", "N m", "commanded joint torque")
 Q_GOAL = _real("q_goal", "joint", "rad", "commanded joint angle; NaN for a digit in the tension loop", initial=NAN)
 DQ_GOAL = _real("dq_goal", "joint", "rad/s", "its rate", initial=NAN)
 
+# Command of this tick to a drive that closes the position loop by itself, see ``law.servo``.
+SERVO_POSITION = _real("servo_position", "servo", "rad", "position to approach, at the spool")
+SERVO_VELOCITY = _real("servo_velocity", "servo", "rad/s", "its rate")
+SERVO_KP = _real("servo_kp", "servo", "N m/rad", "stiffness; 0 if the command is a torque only")
+SERVO_KD = _real("servo_kd", "servo", "N m s/rad", "damping; 0 if the command is a torque only")
+SERVO_TORQUE = _real("servo_torque", "servo", "N m", "torque that the drive adds")
+SERVO_BEFORE = _real("servo_before", "servo", "", "the five numbers of the tick before", rows=5)
+SERVO_SHARE = _real("servo_share", "servo", "", "fraction of recent ticks with kp > 0")
+SERVO_REPORT = _real("servo_report", "servo", "N", "motor force to be reported now", initial=NAN)
+
 # Drives: the values of their cyclic frames. Their set-up is in ``State.drives``.
 POSITION = _real("position", "tendon", "rad", "motor position, at the spool; NaN before any feedback", initial=NAN)
 VELOCITY = _real("velocity", "tendon", "rad/s", "motor velocity", initial=NAN)
@@ -279,6 +290,7 @@ class Tables(NamedTuple):
     digit: NDArray[np.float64]
     coordinate: NDArray[np.float64]
     run: NDArray[np.float64]
+    servo: NDArray[np.float64]
     tendon_int: NDArray[np.int64]
     joint_int: NDArray[np.int64]
     digit_int: NDArray[np.int64]
@@ -298,18 +310,19 @@ def state_tables(block: Block, at: Places) -> Tables:
     """
     whole = block.view(np.int64)
     return Tables(
-        borrow(block, at[8], ((at[9] - at[8]) // at[0], at[0])),
-        borrow(block, at[9], ((at[10] - at[9]) // at[1], at[1])),
-        borrow(block, at[10], ((at[11] - at[10]) // at[2], at[2])),
-        borrow(block, at[11], ((at[12] - at[11]) // at[3], at[3])),
-        borrow(block, at[12], (at[13] - at[12],)),
-        borrow(whole, at[13], ((at[14] - at[13]) // at[0], at[0])),
-        borrow(whole, at[14], ((at[15] - at[14]) // at[1], at[1])),
-        borrow(whole, at[15], ((at[16] - at[15]) // at[2], at[2])),
-        borrow(whole, at[16], ((at[17] - at[16]) // at[4], at[4])),
-        borrow(whole, at[17], ((at[18] - at[17]) // at[5], at[5])),
-        borrow(whole, at[18], ((at[19] - at[18]) // at[6], at[6])),
-        borrow(whole, at[19], (at[20] - at[19],)),
+        borrow(block, at[9], ((at[10] - at[9]) // at[0], at[0])),
+        borrow(block, at[10], ((at[11] - at[10]) // at[1], at[1])),
+        borrow(block, at[11], ((at[12] - at[11]) // at[2], at[2])),
+        borrow(block, at[12], ((at[13] - at[12]) // at[3], at[3])),
+        borrow(block, at[13], (at[14] - at[13],)),
+        borrow(block, at[14], ((at[15] - at[14]) // max(at[8], 1), at[8])),
+        borrow(whole, at[15], ((at[16] - at[15]) // at[0], at[0])),
+        borrow(whole, at[16], ((at[17] - at[16]) // at[1], at[1])),
+        borrow(whole, at[17], ((at[18] - at[17]) // at[2], at[2])),
+        borrow(whole, at[18], ((at[19] - at[18]) // at[4], at[4])),
+        borrow(whole, at[19], ((at[20] - at[19]) // at[5], at[5])),
+        borrow(whole, at[20], ((at[21] - at[20]) // at[6], at[6])),
+        borrow(whole, at[21], (at[22] - at[21],)),
     )
 
 

@@ -15,6 +15,7 @@ from handctl.core.estimation import contact, posture, touch
 from handctl.core.estimation.filter_stack import Block as FilterBlock
 from handctl.core.estimation.structure import MIN_SPRING_STIFFNESS
 from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED, TRIM_TIME_S, UNWIND_FRACTION
+from handctl.core.law.servo import MAX_PHASE_RAD
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
 from handctl.core.types import Vector
@@ -144,6 +145,30 @@ def _law_constants(model: HandModel) -> dict[str, object]:
         "stream_hold_ns": round(1e6 * model.hand.stream.hold_after_ms),
         "stream_relax_ns": round(1e6 * model.hand.stream.relax_after_ms),
         "trim_kept": math.exp(-model.period / TRIM_TIME_S),
+        **servo_constants(model),
+    }
+
+
+def servo_constants(model: HandModel) -> dict[str, Vector]:
+    """Return which drives close a position loop, and the stiffness and damping of these loops.
+
+    The gains of the motion loop are the defaults. Another stiffness keeps their damping ratio. At
+    low control rates the stiffness is smaller than in the hand file, see ``servo.MAX_PHASE_RAD``.
+    """
+    space = model.space
+    motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
+    inertia = (space.motor_mass + space.load_mass) * space.spool**2
+    stiffness = inertia * model.motion.stiffness
+    damping = inertia * model.motion.damping
+    kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)  # NaN if absent
+    kd = np.array([motor.kd_N_m_s_per_rad for motor in motors], dtype=np.float64)
+    stiffest = inertia * (MAX_PHASE_RAD / model.period) ** 2
+    kp = np.minimum(np.where(np.isnan(kp), stiffness, kp), stiffest)
+    kd = np.where(np.isnan(kd), damping * np.sqrt(kp / stiffness), kd)
+    return {
+        "servo": np.array([motor.holds_position for motor in motors]),
+        "servo_stiffness": kp,
+        "servo_damping": kd,
     }
 
 

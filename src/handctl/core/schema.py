@@ -57,16 +57,20 @@ class Schema:
     Attributes:
         tables: names of the tables in memory order. A name is an axis, or axes joined by ``*``,
             with ``_int`` at the end for integers.
+        optional: name of an axis of which many layouts have no element, empty without. Without an element it
+            leaves no trace in ``Layout.identity``.
         fields: all fields, in the order of declaration.
     """
 
-    def __init__(self, *tables: str) -> None:
+    def __init__(self, *tables: str, optional: str = "") -> None:
         """Create a schema without fields.
 
         Args:
             tables: names of the tables in memory order.
+            optional: see the class.
         """
         self.tables = tables
+        self.optional = optional
         self.fields: list[Field] = []
         self._rows = dict.fromkeys(tables, 0)
 
@@ -115,10 +119,18 @@ class Layout:
         """
         self.schema = schema
         self.axes = dict(axes)
+        left_out = ""
+        if schema.optional:
+            self.axes.setdefault(schema.optional, 0)
+            left_out = "" if self.axes[schema.optional] else schema.optional
         widths = {table: self._width(table) for table in schema.tables}
         ends = np.cumsum([0, *(schema.rows(table) * widths[table] for table in schema.tables)])
         self.size = int(ends[-1])
-        named = repr((self.axes, schema.tables, [field[:4] for field in schema.fields]))
+        named = repr((
+            {axis: length for axis, length in self.axes.items() if axis != left_out},
+            tuple(table for table in schema.tables if table != left_out),
+            [field[:4] for field in schema.fields if field.table != left_out],
+        ))  # fmt: skip
         self.identity = hashlib.blake2b(named.encode(), digest_size=8).digest()
         self.places: Places = np.concatenate((list(self.axes.values()), ends)).astype(np.int64)
         spans = zip(schema.tables, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
@@ -157,7 +169,7 @@ class Layout:
         """Return a table as a view into a block, (rows, length of the axis)."""
         first, end, width, whole = self._tables[name]
         part = block[first:end]
-        return (part.view(np.int64) if whole else part).reshape(-1, width)
+        return (part.view(np.int64) if whole else part).reshape(self.schema.rows(name), width)
 
     def difference(self, one: Block, other: Block) -> tuple[str, int, float, float] | None:
         """Return the first difference of two blocks in schema order: field, element, and both values.

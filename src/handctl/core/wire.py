@@ -19,6 +19,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables, state_tables
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation.structure import carrier_excursion
+from handctl.core.law.servo import NUMBERS, command_torque_only
 from handctl.core.schema import Block, Places
 from handctl.drives.contract import Drive
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
@@ -335,7 +336,32 @@ def _store_value(x: Tables, row: int, n: int, value: float) -> None:
         x.tendon[row, n] = value
 
 
-@kernel("block", "layout", "words", "matrix_int", "matrix_int", "matrix", "words", "vector", "count", "count")
+@inner
+def _has_code(x: Tables, n: int, reals: Real, first: int) -> bool:
+    """Return True if each number of a position command is within the range of its signal."""
+    for i in range(NUMBERS):
+        if not reals[first + i, 2] <= x.servo[s.SERVO_POSITION + i, n] <= reals[first + i, 3]:
+            return False
+    return True
+
+
+@inner
+def _write_position_command(
+    x: Tables, n: int, row: Any, wholes: Whole, reals: Real, first: int
+) -> None:
+    """Write position, velocity, kp, kd and torque into the record of a command."""
+    for word in range(PAYLOAD, WORDS):
+        row[word] = 0
+    for i in range(first, first + NUMBERS):
+        bits = encode_signal(x.servo[s.SERVO_POSITION + i - first, n], wholes, reals, i)
+        bits = bytes_reversed(bits) if wholes[i, ORDER] else bits
+        write_window(row, PAYLOAD, wholes[i, WINDOW], bits)
+
+
+@kernel(
+    "block", "layout", "words", "matrix_int", "matrix_int", "matrix", "words", "vector", "keys", "matrix_int",
+    "matrix", "count", "count",
+)  # fmt: skip
 def encode_commands(
     block: Block,
     at: Places,
@@ -345,6 +371,9 @@ def encode_commands(
     reals: Real,
     templates: Rows,
     torque: Real,
+    servos: Whole,
+    servo_wholes: Whole,
+    servo_reals: Real,
     first: int,
     count: int,
 ) -> tuple[int, int]:
@@ -359,6 +388,9 @@ def encode_commands(
         reals: of the signals, with the limit [N m] in a third column.
         templates: (frames, WORDS) records without torque.
         torque: (N,) commanded torque of each drive [N m].
+        servos: (N,) see ``Wire``.
+        servo_wholes: see ``Wire``.
+        servo_reals: see ``Wire``.
         first: first drive.
         count: records already in ``out``.
 
@@ -383,6 +415,12 @@ def encode_commands(
             return n, count
         for word in range(WORDS):
             out[count, word] = templates[i, word]
+        if servos[n] >= 0 and x.servo[s.SERVO_KP, n] > 0.0:
+            if _has_code(x, n, servo_reals, servos[n]):
+                _write_position_command(x, n, out[count], servo_wholes, servo_reals, servos[n])
+                count += 1
+                continue
+            command_torque_only(x, n)
         if signal >= 0:
             bits = encode_signal(torque[n], wholes, reals, signal)
             write_window(
@@ -406,14 +444,26 @@ class Wire:
         sent_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
             column.
         templates: (f, WORDS) commands without torque.
+        servos: (N,) first row of each drive in ``servo_wholes``, -1 for torques only.
+        servo_wholes: (5 p, COLUMNS) integers of the signals of position commands.
+        servo_reals: (5 p, 4) real numbers of these signals: scale, offset, smallest and largest
+            value, in the units of the motor's true torque.
     """
 
-    def __init__(self, drives: Sequence[Drive], sensors: Sensors) -> None:
+    def __init__(
+        self,
+        drives: Sequence[Drive],
+        sensors: Sensors,
+        holds_position: Sequence[bool] = (),
+        torque_gain: Real | None = None,
+    ) -> None:
         """Build the tables.
 
         Args:
             drives: of the hand.
             sensors: of the hand.
+            holds_position: for each drive, True if it closes the position loop. Empty for none.
+            torque_gain: (N,) torque at the spool per commanded torque, None for 1.
         """
         self._signals: list[Table] = []
         found: dict[int, list[int]] = {}
@@ -442,6 +492,7 @@ class Wire:
         self.wholes = np.concatenate([table.wholes for table in self._signals])
         self.reals = np.concatenate([table.reals for table in self._signals])
         self._commands(drives)
+        self._position_commands(drives, holds_position or [False] * len(drives), torque_gain)
         self._entries_without: dict[tuple[int, ...], Whole] = {}
 
     def entries_without(self, groups: tuple[int, ...]) -> Whole:
@@ -478,6 +529,38 @@ class Wire:
         self.sent_wholes: Whole = np.array(wholes, dtype=np.int64).reshape(-1, COLUMNS)
         self.sent_reals: Real = np.array(reals, dtype=np.float64).reshape(-1, 3)
         self.templates: Rows = np.array(templates, dtype=np.uint64).reshape(-1, WORDS)
+
+
+    def _position_commands(
+        self, drives: Sequence[Drive], holds_position: Sequence[bool], torque_gain: Real | None
+    ) -> None:
+        """Build the tables of the position commands."""
+        wholes = [np.empty((0, COLUMNS), np.int64)]
+        reals = [np.empty((0, 4))]
+        servos = np.full(len(drives), UNKNOWN, np.int64)
+        for n, drive in enumerate(drives):
+            message = drive.cyclic.position
+            if not holds_position[n] or message is None:
+                continue
+            servos[n] = NUMBERS * (len(wholes) - 1)
+            wholes.append(Table(message).wholes)
+            gain = 1.0 if torque_gain is None else float(torque_gain[n])
+            reals.append(_ranges_of_signals(message, gain))
+        self.servos: Whole = servos
+        self.servo_wholes: Whole = np.concatenate(wholes)
+        self.servo_reals: Real = np.concatenate(reals)
+
+
+def _ranges_of_signals(message: Message, torque_gain: float) -> Real:
+    """Return scale, offset, smallest and largest value of a position command's signals (5, 4)."""
+    rows = []
+    for signal in message.signals:
+        gain = 1.0 if signal.quantity in (Quantity.POSITION, Quantity.VELOCITY) else torque_gain
+        ends = sorted((signal.offset, signal.offset + ((1 << signal.length) - 1) * signal.scale))
+        if signal.quantity == Quantity.TORQUE:
+            ends = [max(ends[0], -message.limit), min(ends[1], message.limit)]
+        rows.append([gain * value for value in (signal.scale, signal.offset, *ends)])
+    return np.array(rows)
 
 
 def _frame_key(bus: int, can_id: int) -> int:

@@ -42,6 +42,10 @@ class Quantity(enum.IntEnum):
     COUNTER = 7
     UNUSED = 8
     """Constant value in commands. Ignored in feedback."""
+    STIFFNESS = 9
+    """Stiffness of the drive's own position loop, kp."""
+    DAMPING = 10
+    """Damping of the drive's own position loop, kd."""
 
 
 class Coding(enum.IntEnum):
@@ -117,11 +121,23 @@ class Cyclic(NamedTuple):
         commands: frames to the drive, in this order. One of them carries the torque.
         feedback_timeout_ns: longest time without feedback before the state machine must act [ns], 0 for no
             limit.
+        position: the torque command with the five signals of ``POSITION_COMMAND``, with which the
+            drive closes its own position loop. None if the protocol has no such frame.
     """
 
     feedback: tuple[Message, ...]
     commands: tuple[Message, ...]
     feedback_timeout_ns: int = 0
+    position: Message | None = None
+
+
+POSITION_COMMAND = (
+    Quantity.POSITION, Quantity.VELOCITY, Quantity.STIFFNESS, Quantity.DAMPING, Quantity.TORQUE
+)  # fmt: skip
+"""Signals of ``Cyclic.position``, in order.
+
+The drive makes the torque kp (position - p) + kd (velocity - v) + torque.
+"""
 
 
 START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL, WINDOW = range(7)

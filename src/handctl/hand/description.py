@@ -34,6 +34,8 @@ LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on
 """Keys of a digit that came later. ``content`` has them only where the file has them."""
 LATER_TENDON_KEYS = ("pretension_N",)
 """The same, of a tendon."""
+CONTROL_KEYS = ("control", "kp_N_m_per_rad", "kd_N_m_s_per_rad")
+"""The same, of a motor. They have no effect on ``identity``."""
 NO_SENSORS: dict[str, Any] = {
     "sync_id": 0x080, "base_id": 0x1A0, "tendons": (), "joints": (), "joint_decimation": 1,
     "tension_noise_N": 0.5, "tension_bias_drift_N": 0.0, "joint_noise_rad": 1e-3,
@@ -247,7 +249,8 @@ class Hand(Section):
     def content(self) -> dict[str, Any]:
         """Return the resolved content as plain values, with defaults, and with the keys of the file."""
         content = self.model_dump(by_alias=True, mode="python")
-        for kind, keys in (("digit", LATER_KEYS), ("tendon", LATER_TENDON_KEYS)):
+        later = {"digit": LATER_KEYS, "tendon": LATER_TENDON_KEYS, "motor": CONTROL_KEYS}
+        for kind, keys in later.items():
             for section in content[kind]:
                 for key in keys:
                     if section[key] is None:  # hands without the key keep their identity
@@ -267,10 +270,11 @@ class Hand(Section):
         """Return SHA-256 of the resolved content in hexadecimal.
 
         Comments, spelling of numbers, and order of keys in the file have no effect. Neither have the limits of
-        streams, and the meshes: no calibration and no gains depend on them.
+        streams, the meshes, and who closes the position loop: no calibration and no gains depend on them.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
         content["digit"] = [_without(digit, MESH_KEYS) for digit in content["digit"]]
+        content["motor"] = [_without(motor, CONTROL_KEYS) for motor in content["motor"]]
         content["mount"] = _without(content["mount"], PALM_MESH_KEYS)
         # Sorted keys and fixed separators: equal content gives equal bytes.
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)

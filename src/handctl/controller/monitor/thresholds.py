@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handctl.core.hand_constants import HandConstants, low_pass_fractions
+from handctl.core.hand_constants import HandConstants, low_pass_fractions, servo_constants
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
 from handctl.drives.contract import Drive
@@ -83,6 +83,7 @@ def compiled_constants(
         "tension_trip": limits.tension_trip,
         "drive_limit": limits.drive_limit,
         "torque_step": [torque_resolution(drive) for drive in drives] / model.space.spool,
+        **servo_steps(model, drives),
         "noise_limit": limits.noise,
         "temperature_soft": limits.temperature_soft,
         "temperature_hard": limits.temperature_hard,
@@ -101,6 +102,32 @@ def compiled_constants(
         "frames_limit": limits.frames,
         "tension_groups": sensors.tension_frames,
     })  # fmt: skip
+
+
+def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
+    """Return one count of kp [N m/rad] and kd [N m s/rad], and the force by a count of input [N].
+
+    Commands without kp and kd have 1. A loop of less than one count has one count.
+    """
+    gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
+    loop = servo_constants(model)
+    steps = np.ones((2, len(drives)))
+    torque = np.zeros(len(drives))
+    inputs = {Quantity.POSITION: "servo_stiffness", Quantity.VELOCITY: "servo_damping"}
+    for n, drive in enumerate(drives):
+        if drive.cyclic.position is None:
+            continue
+        for signal in drive.cyclic.position.signals:
+            if signal.quantity in (Quantity.STIFFNESS, Quantity.DAMPING):
+                steps[signal.quantity - Quantity.STIFFNESS, n] = signal.scale * gain[n]
+        for signal in (signal for message in drive.cyclic.feedback for signal in message.signals):
+            if signal.quantity in inputs:
+                torque[n] += abs(signal.scale) * loop[inputs[signal.quantity]][n]
+    return {
+        "servo_kp_step": steps[0],
+        "servo_kd_step": steps[1],
+        "servo_rounding": torque / model.space.spool,
+    }
 
 
 def torque_resolution(drive: Drive) -> float:

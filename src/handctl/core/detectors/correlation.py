@@ -39,6 +39,13 @@ MOVED_FRACTION = 1.0 / 4000.0
 
 A drive whose torque has a scale of its own may have a larger step, and half of that step counts.
 """
+SERVO_COUNTS = 0.75
+"""The same of a drive that closes the position loop, in counts of position and speed.
+
+The report has rounded numbers, the drive computes with others. Their difference is 0.3 counts (rms).
+"""
+MIN_SERVO_SHARE = 0.01
+"""Fraction of recent ticks with a position loop from which this rounding counts."""
 AA, AB, AB_LATE, BB, FULL = range(5)
 """Rows of ``block.REPORT_MOMENTS``: products, the product with a report a tick late, and the filling."""
 
@@ -61,6 +68,12 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
         first = x.tendon[s.REPORT_FORCES, n]
         second = x.tendon[s.REPORT_FORCES + 1, n]
         last = x.tendon[s.REPORT_FORCES + 2, n]
+        if c.tendon_int[h.SERVO, n]:
+            closed = 1.0 if x.servo[s.SERVO_BEFORE + 2, n] > 0.0 else 0.0
+            x.servo[s.SERVO_SHARE, n] += fraction * (closed - x.servo[s.SERVO_SHARE, n])
+            last = second
+            second = first
+            first = x.servo[s.SERVO_REPORT, n]
         report = x.tendon[s.MEASURED_FORCE, n]
         a = first - second
         b = report - x.tendon[s.REPORT_FORCES + 3, n]
@@ -75,9 +88,14 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
             _low_pass_moment(x, n, BB, fraction, b * b)
             _low_pass_moment(x, n, FULL, fraction, 1.0)
         x.tendon[s.REPORT_ON_TIME, n] = settled
-        x.tendon[s.REPORT_FORCES, n] = command
-        x.tendon[s.REPORT_FORCES + 1, n] = first
-        x.tendon[s.REPORT_FORCES + 2, n] = second
+        if c.tendon_int[h.SERVO, n]:
+            # Shifted by a tick: the force of this report takes the place of the command.
+            x.tendon[s.REPORT_FORCES, n] = first
+            x.tendon[s.REPORT_FORCES + 1, n] = second
+        else:
+            x.tendon[s.REPORT_FORCES, n] = command
+            x.tendon[s.REPORT_FORCES + 1, n] = first
+            x.tendon[s.REPORT_FORCES + 2, n] = second
         x.tendon[s.REPORT_FORCES + 3, n] = report
 
 
@@ -94,6 +112,8 @@ def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
     # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
     rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
+    if c.tendon_int[h.SERVO, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
+        rounding = max(rounding, SERVO_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
     moves = min(aa, bb) > square(rounding)
     if x.tendon[s.REPORT_MOMENTS + FULL, n] <= MIN_FILLING or not moves:
         return False

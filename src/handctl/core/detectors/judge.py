@@ -26,6 +26,7 @@ from handctl.core.detectors import (
     tendon,
 )
 from handctl.core.detectors.bus import Evidence
+from handctl.core.law import servo
 from handctl.safety.faults.table import ACTIONS, DEBOUNCE
 
 FAULT_ROWS = len(ACTIONS)
@@ -73,6 +74,7 @@ def update_fault_memory(x: Tables, c: ConstantTables) -> None:
     missed = x.run_int[s.MISSED]
     tared = x.run_int[s.TARED] == 1
     slip.update_slip(x, c, tared)
+    servo.predict_reports(x, c)
     residuals.update_residuals(x, c, missed, tared)
     slack.update_slack_history(x, c)
     stuck.update_stuck_counts(x, c, tared)

@@ -59,6 +59,8 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
         now[BALANCE] = balance
         now[MOTOR_FORCE] = made
         now[COMMAND_DIFFERENCE] = commanded - force
+        if c.tendon_int[h.SERVO, n]:
+            now[COMMAND_DIFFERENCE] = x.servo[s.SERVO_REPORT, n] - force
         now[TENSION] = monitored
         now[QUICK_FORCE] = made
         now[SLIP] = x.tendon[s.SLIP, n]

@@ -32,6 +32,13 @@ from handctl.core.estimation.touch import MAX_PRESS_N
 from handctl.core.law.friction_band import predict_moving_tension
 from handctl.core.law.null_space import INTEGRAL_LIMIT_N, raise_tensions_to_floor
 from handctl.core.law.reference import LIMP, MOTION, NO_TRAJECTORY, TENSION, is_tendon_streamed
+from handctl.core.law.servo import (
+    begin_servo_commands,
+    command_torque_only,
+    is_loop_closed_by_drive,
+    servo_force,
+    write_servo_command,
+)
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
@@ -58,6 +65,7 @@ RELAX_FLOOR_N = 5.0
 @inner
 def command_no_torque(x: Tables) -> None:
     """Command no torque. The setpoint of a tension loop will begin at the present tension."""
+    begin_servo_commands(x)
     for n in range(x.tendon.shape[1]):
         x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
         x.tendon[s.INTEGRAL, n] = x.tendon[s.FORCE, n] = x.tendon[s.PLANNED, n] = x.tendon[s.RATE, n] = 0.0
@@ -140,20 +148,22 @@ def write_motor_torques(
         open_loop: True if motor forces equal the envelope regardless of measurements.
         ticks: periods since the last tick, 1 without missed ticks.
     """
+    begin_servo_commands(x)
     limit = present_tension_limits(x, c)
     count = x.tendon.shape[1]
     load = np.zeros(count)
     winding, terms, internal = _motion_terms(x, c, way, limit)
     for n in range(count):
         kind = x.tendon_int[s.GOAL_KIND, n]
-        _, rate, acceleration = _goal_along_tendon(c, n, way)
+        _, own_rate, acceleration = _goal_along_tendon(c, n, way)
         carried_rate, carried_acceleration = _goal_of_carriers(c, n, way)
-        rate += carried_rate
+        rate = own_rate + carried_rate
         acceleration += carried_acceleration
         force = 0.0
         x.tendon[s.TENSION_GOAL, n] = math.nan
         setpoint = x.tendon[s.TENSION, n]
         integral = 0.0
+        by_drive = _is_moved_by_drive(x, c, n)
         if kind == MOTION:
             force = _motion_force(x, c, n, terms[0, n], terms[1, n], rate, acceleration)
             if c.tendon_int[h.REDUNDANT, n]:
@@ -166,22 +176,18 @@ def write_motor_torques(
             load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
         if kind != LIMP:
             force += x.tendon[s.TRIM, n]
-        command_force = min(max(force, c.tendon[h.UNWIND, n]), c.tendon[h.LIMIT, n])
-        # A tension limit bounds the motor force, plus the friction that the motor has to overcome.
-        bound = limit[n] + c.tendon[h.COULOMB, n]
-        command_force = min(command_force, bound)
-        if c.tendon_int[h.PAIR, n]:
-            command_force = max(command_force, -bound)
+        largest = min(limit[n], c.tendon[h.CEILING, n]) if by_drive else limit[n]
+        command_force = _limited_force(c, n, force, largest)
         if relax_rate > 0.0:
             command_force = _relaxing_force(
                 x, c, n, command_force, _relaxing_force_limit(x, c, n, relax_rate, ticks), open_loop
             )
-        x.tendon[s.FORCE, n] = command_force - _motor_friction(x, c, n, command_force)
-        if c.run_int[h.HAND_PASSED]:
-            # The filter counts travel without the carriers' part. Its motor lacks the force that turns with them.
-            x.tendon[s.FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried_acceleration
-            x.tendon[s.FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(c, n, x.joint[s.DQ])
+        _write_filter_force(x, c, n, command_force, carried_acceleration)
         x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL, n]
+        if by_drive:
+            write_servo_command(x, c, n, own_rate, force - terms[1, n], command_force)
+        elif n < x.servo.shape[1]:
+            command_torque_only(x, n)
         x.tendon[s.SETPOINT, n] = setpoint
         x.tendon[s.INTEGRAL, n] = integral
         if kind == MOTION:
@@ -191,6 +197,43 @@ def write_motor_torques(
             x.tendon[s.FRICTION_STATE, n] = math.nan
     _fade_trim(x, c)
     _write_joint_torques(x, c, way, load)
+
+
+@inner
+def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> float:
+    """Return a motor force within the limits of the motor and of the tension [N].
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        force: motor force [N].
+        limit: present tension limit [N].
+    """
+    force = min(max(force, c.tendon[h.UNWIND, n]), c.tendon[h.LIMIT, n])
+    # A tension limit bounds the motor force, plus the friction that the motor has to overcome.
+    bound = limit + c.tendon[h.COULOMB, n]
+    force = min(force, bound)
+    if c.tendon_int[h.PAIR, n]:
+        force = max(force, -bound)
+    return force
+
+
+@inner
+def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carried: float) -> None:
+    """Write the force with which the filter predicts the rotor.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        force: motor force of the coming period [N].
+        carried: acceleration of the carriers along the tendon on the trajectories [m/s2].
+    """
+    x.tendon[s.FORCE, n] = force - _motor_friction(x, c, n, force)
+    if c.run_int[h.HAND_PASSED]:
+        # The filter counts travel without the carriers' part, and lacks the force that turns them.
+        x.tendon[s.FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
+        x.tendon[s.FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(c, n, x.joint[s.DQ])
 
 
 @inner
@@ -269,6 +312,8 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         else:
             terms[0, n] = min(max(x.tendon[s.LOAD, n] / passed, c.tendon[h.FLOOR, n]), ceiling)
         terms[1, n] = c.tendon[h.MASS, n] * feedback
+        if _is_moved_by_drive(x, c, n):
+            terms[1, n] = servo_force(x, c, n, excursion, rate, terms[0, n])
     if surplus:
         raise_tensions_to_floor(x, c, limit, terms, internal)
     _take_up_slack(x, c, way, terms, internal)
@@ -281,6 +326,12 @@ def _takes_up_slack(x: Tables, c: ConstantTables, n: int) -> bool:
     if c.tendon_int[h.PAIR, n] or not is_tendon_streamed(x, c, n):
         return False
     return x.tendon_int[s.REGIME, n] == SLACK or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
+
+
+@inner
+def _is_moved_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
+    """Return True if the drive of a tendon closes the position loop, and takes up no slack."""
+    return is_loop_closed_by_drive(x, c, n) and not _takes_up_slack(x, c, n)
 
 
 @inner
@@ -380,12 +431,14 @@ def _motion_force(
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
         rate = _take_up_speed(rate)
+    # The position of a drive's own loop contains the stretch, so that it acts on the tension.
+    inner_gain = 0.0 if _is_moved_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
     return (
         tension
         + feedback
         + c.tendon[h.INERTIA, n] * acceleration
         - x.tendon[s.STIFFNESS_FRACTION, n] * c.run[h.REJECTION] * x.tendon[s.DISTURBANCE, n]
-        + c.run[h.TENSION_FEEDBACK] * (tension - x.tendon[s.TENSION, n])
+        + inner_gain * (tension - x.tendon[s.TENSION, n])
         + counted * c.tendon[h.MOTOR_DAMPING, n] * speed
         + counted * c.tendon[h.COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
     )

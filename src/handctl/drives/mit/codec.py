@@ -108,6 +108,10 @@ _REPLY = struct.Struct("<HBB")
 # Largest codes of the 16 bit and the 12 bit fields.
 MAX_POSITION_COUNT = 2**16 - 1
 MAX_COUNT = 2**12 - 1
+KP_MAX = 500.0
+"""Full scale of kp [N m/rad]."""
+KD_MAX = 5.0
+"""Full scale of kd [N m s/rad]."""
 _NO_MOTION = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
 """Payload of a command with position, velocity, and gains 0.
 
@@ -148,11 +152,43 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
     signals = (
         _signal_over_range("position", unused, 7, 16, ranges.position, "rad"),
         _signal_over_range("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
-        Signal("kp", unused, 27, 12, True, scale=500.0 / MAX_COUNT, unit="N m/rad"),
-        Signal("kd", unused, 47, 12, True, scale=5.0 / MAX_COUNT, unit="N m s/rad"),
+        Signal("kp", unused, 27, 12, True, scale=KP_MAX / MAX_COUNT, unit="N m/rad"),
+        Signal("kd", unused, 47, 12, True, scale=KD_MAX / MAX_COUNT, unit="N m s/rad"),
         _signal_over_range("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
     )
     return Message("command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque)
+
+
+def impedance_message(
+    can_id: int,
+    ranges: Ranges,
+    sign: int = 1,
+    zero: float = 0.0,
+    flags: int = 0,
+    gains: tuple[float, float] = (KP_MAX, KD_MAX),
+) -> Message:
+    """Return the command with position, velocity, kp, kd and torque, see ``signals.POSITION_COMMAND``.
+
+    Args:
+        can_id: identifier of the motor, ESC_ID.
+        ranges: full scale of the motor. TMAX is the torque limit.
+        sign: sign of position, velocity and torque, 1 if positive torque winds.
+        zero: motor angle of the spool's zero [rad].
+        flags: flags of the frame.
+        gains: full scale of kp [N m/rad] and kd [N m s/rad].
+    """
+    kp, kd = gains
+    position = _signal_over_range(
+        "position", Quantity.POSITION, 7, 16, ranges.position, "rad", sign
+    )
+    signals = (
+        position._replace(offset=position.offset - sign * zero),
+        _signal_over_range("velocity", Quantity.VELOCITY, 23, 12, ranges.velocity, "rad/s", sign),
+        Signal("kp", Quantity.STIFFNESS, 27, 12, True, scale=kp / MAX_COUNT, unit="N m/rad"),
+        Signal("kd", Quantity.DAMPING, 47, 12, True, scale=kd / MAX_COUNT, unit="N m s/rad"),
+        _signal_over_range("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
+    )
+    return Message("position_command", can_id, 8, signals, flags, bytes(8), False, ranges.torque)
 
 
 def position_message(can_id: int, ranges: Ranges, speed: float, sign: int, zero: float, flags: int) -> Message:

@@ -225,7 +225,9 @@ class CubemarsDrive:
     @property
     def cyclic(self) -> Cyclic:
         """Return the signal tables of command and answer."""
-        return Cyclic((self.feedback.message,), (self.command.message,))
+        position = codec.impedance_message(self.node_id, self.ranges, self.direction, self.zero)
+        position = position._replace(limit=self.torque_limit)
+        return Cyclic((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
         """Return the feedback status of an enabled motor: node number and error 0, joined as in ``signals``."""

@@ -182,7 +182,10 @@ class MitDrive:
     @property
     def cyclic(self) -> Cyclic:
         """Return the signal tables of command and answer."""
-        return Cyclic((self.feedback.message,), (self.command.message,))
+        position = codec.impedance_message(
+            self.node_id, self.ranges, self.direction, self.zero, self.flags
+        )
+        return Cyclic((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
         """Return the first byte of feedback from an enabled motor without error: state and node number."""

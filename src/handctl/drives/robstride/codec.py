@@ -174,6 +174,30 @@ def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int =
     return Message("command", EXTENDED | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit)
 
 
+def impedance_message(
+    node_id: int, ranges: ModelRanges, limit: float, sign: int = 1, zero: float = 0.0
+) -> Message:
+    """Return the command with position, velocity, kp, kd and torque, see ``signals.POSITION_COMMAND``.
+
+    Args:
+        node_id: number of the motor.
+        ranges: full scale of the motor.
+        limit: torque limit [N m].
+        sign: sign of position, velocity and torque, 1 if positive torque winds.
+        zero: motor angle of the spool's zero [rad].
+    """
+    torque = command_message(node_id, ranges, limit, sign)
+    position = _signal_over_range("position", Quantity.POSITION, 7, POSITION_RANGE_RAD, "rad", sign)
+    signals = (
+        position._replace(offset=position.offset - sign * zero),
+        _signal_over_range("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", sign),
+        Signal("kp", Quantity.STIFFNESS, 39, 16, True, scale=ranges.kp / MAX_COUNT, unit="N m/rad"),
+        Signal("kd", Quantity.DAMPING, 55, 16, True, scale=ranges.kd / MAX_COUNT, unit="N m s/rad"),
+        *torque.signals,
+    )
+    return torque._replace(name="position_command", signals=signals, base=EMPTY)
+
+
 def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1, zero: float = 0.0) -> Message:
     """Return the signal table of the feedback from a running motor without a fault.
 

@@ -160,7 +160,10 @@ class RobstrideDrive:
     @property
     def cyclic(self) -> Cyclic:
         """Return the signal tables of command and feedback."""
-        return Cyclic((self.feedback.message,), (self.command.message,))
+        position = codec.impedance_message(
+            self.node_id, self.ranges, self.torque_limit, self.direction, self.zero
+        )
+        return Cyclic((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
         """Return 0, because the identifier of the feedback contains the status."""

@@ -100,6 +100,7 @@ def check_hand(hand: Hand) -> Mistakes:
         yield from _check_pairs(hand, digit)
     for tendon in hand.tendon:
         yield from _check_drive(tendon, hand.motor_of(tendon.name))
+        yield from _check_control(hand, tendon, hand.motor_of(tendon.name))
     yield from _check_stream(hand.stream)
     yield from _check_identifiers(hand)
 
@@ -414,6 +415,28 @@ def _check_drive(tendon: Tendon, motor: Motor) -> Mistakes:
         yield Mistake(f"{motor.torque_max_N_m:g}", where, right)
     if motor.torque_max_N_m > motor.torque_peak_N_m:
         yield Mistake(f"{motor.torque_max_N_m:g}", where, f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m")
+
+
+def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> Mistakes:
+    """Check the keys of a drive that closes the position loop by itself."""
+    where = f"motor[{motor.name}]"
+    if not motor.holds_position:
+        for key in ("kp_N_m_per_rad", "kd_N_m_s_per_rad"):
+            value = getattr(motor, key)
+            if value is not None:
+                right = 'no such key without control = "position"'
+                yield Mistake(f"{value:g}", f"{where}.{key}", right)
+        return
+    for digit in hand.digit:
+        tendons = hand.digit_tendons[digit.name]
+        coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])
+        if tendon in hand.tendon[tendons] and tendons.stop - tendons.start > coordinates:
+            right = '"torque": position loops of antagonistic tendons would pull against each other'
+            yield Mistake('"position"', f"{where}.control", right)
+    stiffest = tendon.stiffness_N_per_m * motor.spool_radius_m**2
+    if (motor.kp_N_m_per_rad or 0.0) > stiffest:
+        right = f"at most stiffness_N_per_m x spool_radius_m^2 = {stiffest:.3g} N m/rad"
+        yield Mistake(f"{motor.kp_N_m_per_rad:g}", f"{where}.kp_N_m_per_rad", right)
 
 
 def _check_stream(stream: StreamLimits) -> Mistakes:

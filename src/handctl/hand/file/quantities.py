@@ -241,6 +241,7 @@ Options = Annotated[
     Checked(_check_options, {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}}),
 ]
 
+MotorControl = Annotated[str, one_of("torque", "position")]
 SensorProtocol = Annotated[str, one_of("handctl", "cia404")]
 ProcessValue = Annotated[str, one_of("int32", "real32")]
 
@@ -269,6 +270,8 @@ Zero = Annotated[float, in_range(-100.0, 100.0, "rad", "in radians?")]
 PositionRange = Annotated[float, in_range(0.1, 1000.0, "rad", "in radians?")]
 SpeedRange = Annotated[float, in_range(0.1, 1000.0, "rad/s", "in rad/s?")]
 Damping = Annotated[float, in_range(0.0, 0.1, "N m s/rad")]
+ServoStiffness = Annotated[float, in_range(1e-3, 5000.0, "N m/rad", "at the spool?")]
+ServoDamping = Annotated[float, in_range(0.0, 100.0, "N m s/rad", "at the spool?")]
 SpringStiffness = Annotated[float, in_range(0.0, 10.0, "N m/rad", "in N m per radian?")]
 Gravity = Annotated[float, in_range(-20.0, 20.0, "m/s2")]
 Coupling = Annotated[float, in_range(-10.0, 10.0)]

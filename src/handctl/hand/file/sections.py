@@ -328,3 +328,14 @@ class Motor(Section):
     """Time without a command after which the drive removes its torque."""
     options: qty.Options = Field(default_factory=dict)
     """Options of the protocol, such as ``reply_id``."""
+    control: qty.MotorControl | None = None
+    """``position`` if the drive closes the position loop of a motion. Absent for ``torque``."""
+    kp_N_m_per_rad: qty.ServoStiffness | None = None
+    """Stiffness of the drive's position loop. Absent for that of the gains ``motion``."""
+    kd_N_m_s_per_rad: qty.ServoDamping | None = None
+    """Damping of this loop. Absent for the damping ratio of the gains ``motion``."""
+
+    @property
+    def holds_position(self) -> bool:
+        """Return True if the drive closes the position loop of a moving digit."""
+        return self.control == "position"

@@ -1,0 +1,191 @@
+"""Commands to drives that close the position loop of a moving digit by themselves.
+
+A command has a position p_d, a velocity v_d, stiffness kp, damping kd and a torque t. The drive
+makes the torque
+
+    kp (p_d - p) + kd (v_d - v) + t
+
+many times within a tick, with its own p and v. The position is the planned excursion s_d, plus the
+stretch of the tendon under its planned tension f_0, plus the estimated offset o of the stretch:
+
+    r p_d = s_d + f_0 / k + o
+    r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k      by f_hat = k (r p - s - o)
+
+The controller does not know the torque that the drive will make. It predicts the mean over the
+coming period from the estimated p and v, half a period ahead, and limits this torque as in torque
+control. The position is then moved so that the drive would make the limited torque. So the position
+never leads the motor by more than the limits allow.
+
+kp and kd are 0, and t is the whole torque, unless a digit moves freely under the program: not while
+it presses on something, relaxes, is held by safety, or winds up slack, and not in a tick without a
+position of the motor.
+"""
+
+import math
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.core.estimation.structure import carrier_excursion
+from handctl.core.estimation.take_up import SLACK
+from handctl.core.law.reference import MOTION
+
+ACTIVE = 4
+"""Number of ``core.types.Mode.ACTIVE``."""
+MAX_PHASE_RAD = 0.3
+"""Largest phase of a drive's loop in a control period: natural frequency times period [rad].
+
+The filter takes the motor force as constant within a period. In simulation, stiffer loops
+oscillated: 0.5 rad on ``jamia`` at 100 Hz and on ``orca_like`` at 250 Hz.
+"""
+NUMBERS = 5
+"""Number of rows of a command: position, velocity, kp, kd, torque."""
+
+
+@inner
+def begin_servo_commands(x: Tables) -> None:
+    """Store the commands of the last tick, and begin with commands of nothing."""
+    for n in range(x.servo.shape[1]):
+        for row in range(NUMBERS):
+            x.servo[s.SERVO_BEFORE + row, n] = x.servo[s.SERVO_POSITION + row, n]
+            x.servo[s.SERVO_POSITION + row, n] = 0.0
+
+
+@inner
+def command_torque_only(x: Tables, n: int) -> None:
+    """Replace the command of a drive by its torque alone. The hand must have the servo table."""
+    x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
+    x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
+
+
+@inner
+def is_loop_closed_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
+    """Return True if the drive of a tendon closes the position loop in this tick."""
+    if not c.tendon_int[h.SERVO, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
+        return False
+    if x.run_int[s.MODE] != ACTIVE or x.run_int[s.HOLDING]:
+        return False
+    d = c.tendon_int[h.DIGIT, n]
+    if (
+        x.digit_int[s.BLOCKED, d]
+        or x.digit_int[s.PLANNED_CONTACT, d]
+        or math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
+    ):
+        return False
+    return (c.tendon_int[h.PAIR, n] == 1 or x.tendon_int[s.REGIME, n] != SLACK) and servo_stiffness(
+        x, c, n
+    ) > 0.0
+
+
+@inner
+def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return kp as the drive can have it [N m/rad]."""
+    step = c.tendon[h.SERVO_KP_STEP, n]
+    wanted = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
+    return step * math.floor(wanted / step + 0.5)
+
+
+@inner
+def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return kd as the drive can have it [N m s/rad]."""
+    step = c.tendon[h.SERVO_KD_STEP, n]
+    return step * math.floor(
+        x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n] / step + 0.5
+    )
+
+
+@inner
+def servo_speed_force(x: Tables, c: ConstantTables, n: int, rate: float) -> float:
+    """Return the mean force of the drive's loop over the coming period by the error of speed [N].
+
+    Within half a period, an error of speed changes the error of position.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        rate: of the digit's excursion on the trajectory [m/s].
+    """
+    gain = servo_damping(x, c, n) + 0.5 * c.run[h.PERIOD] * servo_stiffness(x, c, n)
+    return gain / (c.tendon[h.SPOOL, n] * c.tendon[h.SPOOL, n]) * (rate - x.tendon[s.SPEED, n])
+
+
+@inner
+def servo_force(
+    x: Tables, c: ConstantTables, n: int, excursion: float, rate: float, tension: float
+) -> float:
+    """Return the predicted mean force of the drive's loop over the coming period [N].
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        excursion: of the digit on the trajectory [m].
+        rate: its rate [m/s].
+        tension: planned tension at the load cell [N].
+    """
+    error = (
+        excursion
+        - x.tendon[s.EXCURSION, n]
+        + (tension - x.tendon[s.TENSION, n]) / c.tendon[h.STIFFNESS, n]
+    )
+    stiffness = servo_stiffness(x, c, n) / (c.tendon[h.SPOOL, n] * c.tendon[h.SPOOL, n])
+    return stiffness * error + servo_speed_force(x, c, n, rate)
+
+
+@inner
+def write_servo_command(
+    x: Tables, c: ConstantTables, n: int, rate: float, feedforward: float, force: float
+) -> None:
+    """Write the command with which the drive makes a mean force over the coming period.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        rate: of the digit's excursion on the trajectory [m/s].
+        feedforward: force without the drive's loop [N].
+        force: limited force, that of the loop included [N].
+    """
+    spool = c.tendon[h.SPOOL, n]
+    kp = servo_stiffness(x, c, n)
+    added = min(max(feedforward, c.tendon[h.UNWIND, n]), c.tendon[h.LIMIT, n])
+    lead = (force - added - servo_speed_force(x, c, n, rate)) * spool * spool / kp
+    travel = x.tendon[s.TRAVEL, n]
+    speed = rate
+    if c.run_int[h.HAND_PASSED]:
+        # The carriers move as they do. Position and speed follow them, and their errors are not those of the digit.
+        travel += carrier_excursion(c, n, x.joint[s.Q])
+        speed += carrier_excursion(c, n, x.joint[s.DQ])
+    travel += lead + 0.5 * c.run[h.PERIOD] * speed
+    x.servo[s.SERVO_POSITION, n] = travel / spool + c.tendon[h.ZERO, n]
+    x.servo[s.SERVO_VELOCITY, n] = speed / spool
+    x.servo[s.SERVO_KP, n] = kp
+    x.servo[s.SERVO_KD, n] = servo_damping(x, c, n)
+    x.servo[s.SERVO_TORQUE, n] = added * spool
+
+
+@inner
+def predict_reports(x: Tables, c: ConstantTables) -> None:
+    """Write the force that each drive of the servo table should report in this tick [N].
+
+    A drive reports position, speed and torque of an instant in which it obeyed the command before
+    the last. The torque follows from all of them.
+    """
+    for n in range(x.servo.shape[1]):
+        torque = x.servo[s.SERVO_BEFORE + 4, n]
+        kp = x.servo[s.SERVO_BEFORE + 2, n]
+        if kp > 0.0:
+            torque += kp * (x.servo[s.SERVO_BEFORE, n] - x.tendon[s.POSITION, n])
+            torque += x.servo[s.SERVO_BEFORE + 3, n] * (
+                x.servo[s.SERVO_BEFORE + 1, n] - x.tendon[s.VELOCITY, n]
+            )
+        limit = c.tendon[h.LIMIT, n]
+        known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(
+            x.tendon[s.MEASURED_FORCE, n]
+        )
+        x.servo[s.SERVO_REPORT, n] = (
+            min(max(torque / c.tendon[h.SPOOL, n], -limit), limit) if known else math.nan
+        )

@@ -1,0 +1,259 @@
+"""Drives that close the position loop of a moving digit by themselves: commands, tracking, tension and faults."""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_sim.nodes.mit.codec import Ranges, decode_command
+from handctl.campaign.scenarios import FREE, GRASP
+from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
+from handctl.controller.setup import make_controller, make_drives
+from handctl.core import block as s
+from handctl.core.gains.gains import packaged_gains
+from handctl.core.types import Mode
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_content, hand_from_content, load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
+from handctl.runtime.mailbox import STOP
+from handctl.session.simulate import Simulation, Simulator
+from tests.faults.test_relaxing import judge
+
+NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
+SEEDS = range(20) if NIGHTLY else range(2)
+RATE_HZ = 500.0
+STIFF = 2.5
+"""Stiffness of the tendons of ``jamia`` at the spool, the largest that a hand file may ask for [N m/rad]."""
+TRIP_N = 140.0
+
+
+def with_position_loop(hand: Hand, **changes: Any) -> Hand:
+    """Return a hand whose drives close the position loop."""
+    motors = tuple(motor.model_copy(update={"control": "position", **changes}) for motor in hand.motor)
+    return hand.model_copy(update={"motor": motors})
+
+
+def to_and_fro(hand: Hand, moves: int, duration_s: float) -> TaskProgram:
+    """Return a program that closes and opens all digits."""
+    ends = [dict.fromkeys(hand.digit_names, angle) for angle in (45.0, 15.0)]
+    phases = [{"kind": "move", "name": "ready", "angle_deg": ends[1], "duration_s": 0.6}] + [
+        {"kind": "move", "name": f"move {i}", "angle_deg": ends[i % 2], "duration_s": duration_s} for i in range(moves)
+    ]
+    return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "to and fro", "phase": phases})))
+
+
+@contextmanager
+def moving(hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, moves: int = 6) -> Iterator[Simulation]:
+    """Yield a run of a homed hand that moves to and fro, at the start of the first move."""
+    controller = make_controller(
+        hand, packaged_gains(hand.name), rate_hz, to_and_fro(hand, moves, 0.6), None, arm_at_once=True
+    )
+    with Simulator(hand, None, seed, homed=True).against(controller) as run:
+        assert run.until(lambda out: out.phase == "move 0", 5.0)
+        yield run
+
+
+def stiffness_sent(run: Simulation) -> np.ndarray:
+    return run.state.view("servo_kp")
+
+
+def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
+    """Return root mean square errors of true excursions (N,) while a hand moves [deg], and the largest true tension.
+
+    An error is that of the mean joint angle. The springs of ``jamia`` decide about single joints.
+    """
+    errors, peak = list[np.ndarray](), 0.0
+    with moving(hand, seed, moves=2) as run:
+        arms = run.controller.model.hand.own_arms
+        plant: Any = run.peer.world.plant  # type: ignore[attr-defined]
+        for _, out in run.ticks(8.0):
+            if not out.phase.startswith("move"):
+                break
+            q = np.array(plant.engine.q[: len(out.telemetry.q)])
+            errors.append(np.degrees(arms @ (q - out.telemetry.q_goal) / np.abs(arms).sum(axis=1)))
+            peak = max(peak, *run.peer.truth()["tension"])
+        assert run.state.latched == ()
+    return np.sqrt((np.array(errors) ** 2).mean(axis=0)), peak
+
+
+def test_a_position_command_makes_the_predicted_torque() -> None:
+    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF)
+    with moving(hand) as run:
+        model, ranges = run.controller.model, Ranges(12.5, 50.0, 0.8)
+        sent = 0
+        for _ in range(400):
+            out = run.tick()
+            commands = {frame.can_id: frame.data for frame in out.frames if 0 < frame.can_id < 5}
+            for n in range(4):
+                given = decode_command(commands[n + 1], ranges)
+                p, v = (run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed"))
+                ahead = p + run.controller.zero[n] + 0.5 * model.period * v
+                torque = given.kp * (given.position - ahead) + given.kd * (given.velocity - v) + given.torque
+                # One count of position at this stiffness, one of velocity and one of torque.
+                assert torque == pytest.approx(run.state.view("torque")[n], abs=2.0e-3)
+                sent += given.kp > 0.0
+                assert given.kp == pytest.approx(run.state.view("servo_kp")[n], abs=1e-9)
+        assert sent > 1500, "nearly all commands carry a position"
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_stiff_drive_follows_twice_as_well(seed: int) -> None:
+    hand = load_hand("jamia")
+    torque, _ = mean_errors(hand, seed)
+    position, peak = mean_errors(with_position_loop(hand, kp_N_m_per_rad=STIFF), seed)
+    assert position.mean() < 0.7 * torque.mean(), f"{position} against {torque} deg"
+    assert (position < torque).all(), f"{position} against {torque} deg"
+    assert peak < 40.0
+    as_before, _ = mean_errors(with_position_loop(hand), seed)
+    assert as_before.mean() < 1.1 * torque.mean(), f"{as_before} against {torque} deg"
+
+
+@pytest.mark.parametrize("protocol", ["mit", "robstride"])
+def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(protocol: str) -> None:
+    hand = with_position_loop(hand_with_protocol("jamia", protocol))
+    with homed_run(hand, RATE_HZ, 0) as run:
+        advance_to(run, FREE)
+        assert (stiffness_sent(run) > 0.0).all()
+        advance_to(run, GRASP)
+        run.tick()
+        assert not stiffness_sent(run).any()
+        np.testing.assert_allclose(run.state.view("servo_torque"), run.state.view("torque"))
+        for _ in range(round(RATE_HZ)):
+            assert run.tick().mode == Mode.ACTIVE
+            assert not stiffness_sent(run).any()
+        run.tick(requests=(STOP,))
+        while run.state.mode != Mode.DONE:
+            run.tick()
+            assert not stiffness_sent(run).any()
+        assert run.state.latched == ()
+
+
+@pytest.mark.parametrize("kp", [None, STIFF])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_obstacle_bounds_the_tension(kp: float | None, seed: int) -> None:
+    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=kp)
+    with moving(hand, seed) as run:
+        for _ in range(round((0.15 + 0.02 * seed) * RATE_HZ)):
+            run.tick()
+        run.peer.inject("block digit=index")
+        peak, blocked = 0.0, False
+        for _ in range(round(1.5 * RATE_HZ)):
+            run.tick()
+            peak = max(peak, *run.peer.truth()["tension"])
+            if run.state.view("blocked")[0]:
+                blocked = True
+                assert stiffness_sent(run)[0] == 0.0
+        assert blocked
+        # 30 N more than the motion needs, see touch.MAX_PRESS_N.
+        assert peak < 60.0, f"{peak} N"
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("fault", ["", "swap node=index_motor with=thumb_motor", "disobey node=ring_motor size=1.6"])
+def test_relaxing_from_a_position_loop_raises_no_command(fault: str, seed: int) -> None:
+    with moving(with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF), seed) as run:
+        for _ in range(round((0.1 + 0.03 * seed) * RATE_HZ)):
+            run.tick()
+        assert (stiffness_sent(run) > 0.0).any()
+        if fault:
+            run.peer.inject(fault)
+        judge(run, run.k + 40, round(0.06 * RATE_HZ), fault)
+
+
+def lose_gains(run: Simulation, name: str) -> None:
+    """Let a drive make the torque of its commands alone, as if it did not know kp and kd."""
+    motor: Any = run.peer.world.plant.motors[name]  # type: ignore[attr-defined]
+    motor.power_stage_fault = lambda _: float(np.clip(motor.servo.torque, -motor.servo.limit, motor.servo.limit))
+
+
+FOUND = {
+    "stuck encoder=index_motor": {"N04"},
+    "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17"},
+    "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
+    "replay node=index_motor size=16": {"N05b", "N14", "N17", "N04"},
+    "disobey node=index_motor size=0.4": {"N14", "N17"},
+    "offset encoder=index_motor size=-0.5": {"N05b", "T02a", "T03", "N14"},
+}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("fault", FOUND)
+def test_faults_are_found_with_a_position_loop(fault: str, seed: int) -> None:
+    with moving(with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF), seed) as run:
+        for _ in range(round((0.1 + 0.02 * seed) * RATE_HZ)):
+            run.tick()
+        run.peer.inject(fault)
+        peak = 0.0
+        while run.tick().mode < Mode.DISARM and run.k < 5.0 * RATE_HZ:
+            peak = max(peak, *run.peer.truth()["tension"])
+        assert {mark.id for mark in run.state.latched} & FOUND[fault], run.state.latched
+        assert peak < TRIP_N
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_drive_that_ignores_kp_is_found(seed: int) -> None:
+    with moving(with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF), seed) as run:
+        lose_gains(run, "index_motor")
+        peak = 0.0
+        while run.tick().mode == Mode.ACTIVE and run.k < 6.0 * RATE_HZ:
+            peak = max(peak, *run.peer.truth()["tension"])
+        assert {mark.id for mark in run.state.latched} & {"N14", "N17"}
+        assert peak < TRIP_N
+
+
+def test_a_healthy_drive_reports_what_is_predicted() -> None:
+    """Compare each report with the prediction, which the detectors of disobedience use."""
+    with moving(with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF)) as run:
+        apart = []
+        for _ in range(600):
+            run.tick()
+            apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
+        assert np.nanstd(apart) < 0.6
+        assert np.nanmax(np.abs(apart)) < 6.0
+
+
+@pytest.mark.parametrize("protocol", ["odrive", "cia402", "moteus"])
+def test_a_protocol_without_position_commands_is_refused(protocol: str) -> None:
+    hand = with_position_loop(hand_with_protocol("jamia", protocol))
+    with pytest.raises(ConfigError, match=rf'motor\[index_motor\].protocol: "{protocol}"; expected mit, cubemars'):
+        make_drives(hand)
+
+
+def test_position_loops_of_antagonists_are_refused() -> None:
+    content = hand_content("n_plus_1")
+    content["motor"][0]["control"] = "position"
+    with pytest.raises(ConfigError, match=r'control: "position"; expected "torque": position loops of antagonistic'):
+        hand_from_content(content, "antagonists.toml")
+
+
+def test_a_stiffness_below_one_count_is_refused() -> None:
+    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=0.05)
+    with pytest.raises(ConfigError, match=r"motor\[index_motor\].kp_N_m_per_rad: 0.05; expected 0.122 to 500 N m/rad"):
+        make_drives(hand)
+
+
+def test_a_low_rate_lowers_the_stiffness() -> None:
+    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF)
+    with moving(hand, rate_hz=100.0) as run:
+        for _ in range(20):
+            run.tick()
+        assert stiffness_sent(run).max() == pytest.approx(500.0 / 4095.0)
+
+
+def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity() -> None:
+    hand = load_hand("jamia")
+    loop = with_position_loop(hand, kp_N_m_per_rad=1.0)
+    assert loop.identity == hand.identity
+    assert "control" not in hand.to_toml()
+    layouts = [
+        make_controller(one, packaged_gains("jamia"), RATE_HZ, to_and_fro(one, 1, 1.0), None, True).layout
+        for one in (hand, loop)
+    ]
+    assert [layout.axes["servo"] for layout in layouts] == [0, 4]
+    assert layouts[1].size - layouts[0].size == 4 * s.STATE.rows("servo")
