@@ -25,7 +25,7 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
 
 def test_overloaded_bus_is_reported_and_split(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bus", "plan", "--hand", "jamia11", "--rate", "500"]) == 1
-    assert "3 buses of this kind would hold it" in capsys.readouterr().out
+    assert "3 buses of this kind are enough" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0])

@@ -48,9 +48,9 @@ def test_without_yes_nothing_runs(capsys, monkeypatch):
 def test_a_hand_gives_the_bit_rates(capsys, monkeypatch):
     monkeypatch.setattr(bus_up, "interface_names", lambda: ("can0",))
     assert main(["bus", "up", "--hand", "jamia", "--bus", "socketcan:can0", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["done"] is False
-    assert told["commands"][1][:8] == ["ip", "link", "set", "can0", "type", "can", "bitrate", "1000000"]
+    result = json.loads(capsys.readouterr().out)
+    assert result["done"] is False
+    assert result["commands"][1][:8] == ["ip", "link", "set", "can0", "type", "can", "bitrate", "1000000"]
 
 
 def test_with_yes_root_runs_them_in_order(capsys, monkeypatch):

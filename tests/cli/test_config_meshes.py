@@ -113,19 +113,19 @@ def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
     assert refused(capsys, "config", "check", "--hand", str(own)).endswith(
         f"default.digit.{right}\n"
     )
-    told: list[str] = []
-    plan = make_plan(Choice(own), tell=told.append)
-    assert told == [f"handctl: caution: digit[{digit}].{right}" for digit in ("left", "right")]
+    messages: list[str] = []
+    plan = make_plan(Choice(own), tell=messages.append)
+    assert messages == [f"handctl: caution: digit[{digit}].{right}" for digit in ("left", "right")]
     assert sorted(plan.attachments) == ["mesh/t42/inner.stl", "mesh/t42/palm.stl"]
 
 
 def test_meshes_too_large_for_a_log_are_reported_before_the_run(own: Path) -> None:
     with (own.parent / "t42" / "outer.stl").open("r+b") as large:
         large.truncate(MAX_BYTES)
-    told: list[str] = []
-    plan = make_plan(Choice(own), tell=told.append)
+    messages: list[str] = []
+    plan = make_plan(Choice(own), tell=messages.append)
     assert not plan.attachments
-    (line,) = told
+    (line,) = messages
     assert line.startswith(
         "handctl: caution: the meshes have 4.3 MB, more than 4.2 MB, and are not stored in the log"
     )
@@ -261,7 +261,7 @@ def test_meshes_that_a_hand_cannot_have_are_reported(
         line for line in capsys.readouterr().out.splitlines() if line.startswith("warning: mesh ")
     ]
     assert lines[-1] == (
-        "warning: mesh base.stl of the palm is not taken over: an STL in text form; "
+        "warning: mesh base.stl of the palm is left out: an STL in text form; "
         "expected a binary STL, which MuJoCo reads as well"
     )
     assert all("mesh proximal.stl of " in line and "no such file" in line for line in lines[:-1])
@@ -288,7 +288,7 @@ def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
     )
     assert main(["config", "init", "--yes", "--mjcf", "model.xml", "--output", "mine.toml"]) == 0
     out = capsys.readouterr().out
-    assert "warning: mesh small.stl of a_j1 is not taken over: a link has one mesh\n" in out
+    assert "warning: mesh small.stl of a_j1 is left out: a link can have only one mesh\n" in out
     (digit,) = hand_content("mine.toml")["digit"]
     assert digit["link_mesh"] == ["sub/mm.stl", "m.stl"]
     assert digit["link_mesh_scale"] == [0.001, 3.0]

@@ -74,7 +74,7 @@ MISTAKES = {
     ),
     "one node number twice": (
         "m1.node_id = 4", "m1.node_id = 1",
-        'digit[middle].motor.m1.node_id: 0x1 on bus "main" is taken; expected another identifier',
+        'digit[middle].motor.m1.node_id: 0x1 on bus "main" is taken; expected an identifier that is not in use',
     ),
     "an unknown protocol": (
         'protocol = "mit"', 'protocol = "morse"',

@@ -33,9 +33,9 @@ ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
 def test_a_good_drive_in_another_process_passes(protocol, more):
     with drives("local:c", protocol, "--ids", "33"):
         done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
-        told = json.loads(done.stdout)
-        assert [check for check in told["checks"] if check["verdict"] == "failed"] == []
-        assert (done.returncode, told["confirmed_off"]) == (0, True)
+        result = json.loads(done.stdout)
+        assert [check for check in result["checks"] if check["verdict"] == "failed"] == []
+        assert (done.returncode, result["confirmed_off"]) == (0, True)
         found = handctl("scan", "--bus", "local:c", "--json")
         assert found.returncode == 0
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
@@ -117,7 +117,7 @@ def test_unsuitable_drive_options_are_refused_before_a_bus_is_opened(capsys, wor
 def test_missing_drive_is_reported(capsys):
     with drives("local:c", "odrive", "--ids", "3"):
         assert main([*WORDS, "--protocol", "odrive", "--node", "4", "--yes"]) == 1
-    assert "no odrive 4; there is odrive 3" in capsys.readouterr().err
+    assert "no odrive 4; found: odrive 3" in capsys.readouterr().err
 
 
 def test_drive_of_another_host_is_not_commanded(capsys):
@@ -140,7 +140,7 @@ def test_drive_of_another_host_is_not_commanded(capsys):
             host.join()
             other.close()
     assert (code, heard != []) == (1, True)
-    assert "another host is at work on this bus" in capsys.readouterr().err
+    assert "another host controls this bus" in capsys.readouterr().err
 
 
 def test_conformance_refuses_a_bus_with_a_running_controller(capsys):

@@ -292,8 +292,8 @@ FORGED = "\nFORGED"
     ],
 )
 def test_a_line_end_in_a_file_makes_no_second_line(place, capsys, words):
-    told = "".join(f"{key} = {json.dumps(key + FORGED)}\n" for key in ("note", "made", "version", "fit", "study"))
-    text = f"schema = 1\n[motion]\nforce_N = 12.0\n[provenance]\nhand = 'jamia'\nlog = [{json.dumps(FORGED)}]\n{told}"
+    forged = "".join(f"{key} = {json.dumps(key + FORGED)}\n" for key in ("note", "made", "version", "fit", "study"))
+    text = f"schema = 1\n[motion]\nforce_N = 12.0\n[provenance]\nhand = 'jamia'\nlog = [{json.dumps(FORGED)}]\n{forged}"
     (place / "g.toml").write_text(text)
     if words in (("gains", "log"), ("gains", "show")):
         assert main(["gains", "apply", "g.toml"]) == 0

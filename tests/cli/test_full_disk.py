@@ -36,9 +36,9 @@ def test_a_truth_file_that_cannot_be_copied_is_read_in_place(place):
     truth = place / "sim.truth"
     truth.write_bytes(bytes(100))
     (place / "run.truth").symlink_to(FULL)
-    told: list[str] = []
-    assert _copy_truth(place / "run.mcap", truth, told.append) == truth
-    assert told == [f"handctl: {place / 'run.truth'} is left out: No space left on device"]
+    messages: list[str] = []
+    assert _copy_truth(place / "run.mcap", truth, messages.append) == truth
+    assert messages == [f"handctl: {place / 'run.truth'} is left out: No space left on device"]
 
 
 def test_a_page_that_cannot_be_written_is_one_line(place, capsys):

@@ -125,7 +125,7 @@ def test_a_damaged_gains_file_does_not_prevent_a_rollback(twice_changed_hand, pl
     assert main(["gains", "log"]) == 0
     assert "rollback brings back number 2" in capsys.readouterr().err
     assert main(["gains", "rollback"]) == 0
-    assert "is jamia.gains.damaged.toml now" in capsys.readouterr().err
+    assert "was renamed to jamia.gains.damaged.toml" in capsys.readouterr().err
     assert output_of(capsys, "gains", "diff", "2", "present")["changed"] == {}
 
 

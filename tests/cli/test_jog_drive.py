@@ -33,11 +33,11 @@ def test_a_drive_in_another_process_is_moved_and_left_off(protocol, mode, more):
         words = ["--protocol", protocol, "--mode", mode, "--setpoint", setpoint, "--yes", "--json", *more]
         done = handctl(*WORDS, *words)
         assert done.returncode == 0, done.stderr
-        told = json.loads(done.stdout)
-        assert (told["failure"], told["confirmed_off"]) == ("", True)
+        result = json.loads(done.stdout)
+        assert (result["failure"], result["confirmed_off"]) == ("", True)
         if mode != "torque":
-            assert told["moved_rad"] == pytest.approx(1.0 if "position" in mode else 1.5, abs=0.2)
-            assert told["final_rad_s"] < 0.2
+            assert result["moved_rad"] == pytest.approx(1.0 if "position" in mode else 1.5, abs=0.2)
+            assert result["final_rad_s"] < 0.2
         found = handctl("scan", "--bus", "local:j", "--json")
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
     assert node["error"] == ""

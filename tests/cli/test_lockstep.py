@@ -162,6 +162,6 @@ def test_the_log_is_complete_and_has_every_tick(twins):
 def test_a_lockstep_run_shows_its_progress(place, capfd):
     (place / "short.toml").write_text(SHORT)
     assert main(["demo", "--lockstep", "--task", "short.toml", "--log", "run.mcap"]) == 0
-    told = capfd.readouterr().err
-    assert "1.000 s  ACTIVE    bend       tension" in told
-    assert "pulling thumb_tendon with 3 N" in told, "of the commissioning before it, too"
+    error_output = capfd.readouterr().err
+    assert "1.000 s  ACTIVE    bend       tension" in error_output
+    assert "pulling thumb_tendon with 3 N" in error_output, "of the commissioning before it, too"

@@ -44,7 +44,7 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
     assert [one[one.index("--hand") + 1] for one in started] == ["jamia-odrive.toml"] * 2
     Path("jamia-odrive.toml").write_text("mine")
     line = refused(capsys, *words)
-    assert line.endswith(": jamia-odrive.toml is there and is another hand; expected a folder without it\n")
+    assert line.endswith(": jamia-odrive.toml exists and describes another hand; expected a folder without it\n")
     assert Path("jamia-odrive.toml").read_text() == "mine"
 
 

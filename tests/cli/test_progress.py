@@ -20,29 +20,29 @@ def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=terminal, cwd=folder, env=environment) as process:
         os.close(terminal)
-        told = b""
+        error_output = b""
         try:
             while part := os.read(shown, 4096):
-                told += part
+                error_output += part
         except OSError:  # Linux says so that nobody has the other end any more
             pass
         assert process.stdout
         out = process.stdout.read()
     os.close(shown)
-    assert process.returncode == 0, told
-    return out.decode(), told.decode()
+    assert process.returncode == 0, error_output
+    return out.decode(), error_output.decode()
 
 
 def test_a_terminal_shows_a_bar_until_the_work_is_done(tmp_path: Path) -> None:
-    out, told = at_a_terminal(("replay", "execute", LOG, "--within", "1e-9"), tmp_path)
+    out, error_output = at_a_terminal(("replay", "execute", LOG, "--within", "1e-9"), tmp_path)
     assert "0 decide something else" in out
-    assert "executing" in told
+    assert "executing" in error_output
     assert "executing" not in out
-    assert any(f" {share}%" in told for share in range(10, 100)), told
+    assert any(f" {share}%" in error_output for share in range(10, 100)), error_output
 
 
 def test_programs_get_no_bar(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with progress_bar("working", 10, quiet=True) as told:
-        told(5)
+    with progress_bar("working", 10, quiet=True) as show_progress:
+        show_progress(5)
     assert capfd.readouterr() == ("", "")

@@ -266,12 +266,12 @@ def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
     """Regression: the exit code was 0 as soon as a datagram was sent."""
     assert main([verb, *BUS]) == 71
     out, err = capsys.readouterr()
-    told = (
+    expected = (
         "handctl: bus local:does-not-exist: no confirmation from the controller: switch the power off "
         f"({verb}: no controller"
     )
     assert (out, err.count("\n")) == ("", 1)
-    assert err.startswith(told)
+    assert err.startswith(expected)
 
 
 @pytest.mark.parametrize("name", packaged_hands())

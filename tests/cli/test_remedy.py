@@ -26,7 +26,7 @@ def run_with_faults(*rows: str, cpu_s: float = 0.0) -> Outcome:
 
 
 @pytest.mark.parametrize(
-    ("bus", "rows", "told"),
+    ("bus", "rows", "advised"),
     [
         ("local:lab", LATE, True),
         ("socketcan:vcan0", LATE, True),
@@ -37,9 +37,9 @@ def run_with_faults(*rows: str, cpu_s: float = 0.0) -> Outcome:
     ],
     ids=["simulated", "virtual", "real", "torn tendon", "nothing", "lockstep"],
 )
-def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tuple[str, ...], told: bool) -> None:
+def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tuple[str, ...], advised: bool) -> None:
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus,) if bus else ())
-    assert ("--time-scale" in pace_advice(plan, run_with_faults(*rows))) == told
+    assert ("--time-scale" in pace_advice(plan, run_with_faults(*rows))) == advised
 
 
 @pytest.mark.parametrize(
@@ -57,8 +57,8 @@ def test_the_advised_pace_is_measured(
     monkeypatch: pytest.MonkeyPatch, cpu_s: float, capacity: float | None, advice: float | None, number: float
 ) -> None:
     """Regression: the advice was always 0.5. This run took 2 s for 1000 ticks at 500 Hz."""
-    told = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
-    monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told if question == {"pace": True} else {})
+    answer = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
+    monkeypatch.setattr(pace, "ask_simulator", lambda path, question: answer if question == {"pace": True} else {})
     monkeypatch.setattr(pace, "usable_cores", lambda: 2)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert pace_advice(plan, run_with_faults(*LATE, cpu_s=cpu_s)).endswith(
@@ -67,8 +67,8 @@ def test_the_advised_pace_is_measured(
 
 
 def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = {"pace": {"advice": None, "plant_s_per_cpu_s": 2.0}}
-    monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told)
+    answer = {"pace": {"advice": None, "plant_s_per_cpu_s": 2.0}}
+    monkeypatch.setattr(pace, "ask_simulator", lambda path, question: answer)
     monkeypatch.setattr(pace, "usable_cores", lambda: 1)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert pace.slower_time_scale(plan, run_with_faults(*LATE, cpu_s=1.8)) == 0.5

@@ -74,10 +74,10 @@ def test_another_hand_s_log_is_refused_with_both_identities(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words) == 4
-    told = capsys.readouterr().err
-    assert len(told.splitlines()) == 1
+    error_output = capsys.readouterr().err
+    assert len(error_output.splitlines()) == 1
     for hand in ("jamia", "jamia11"):
-        assert load_hand(hand).identity[:12] in told
+        assert load_hand(hand).identity[:12] in error_output
 
 
 def test_replay_drive_has_a_dry_run_without_a_bus(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -106,11 +106,11 @@ def test_a_truncated_log_is_checked_and_executed_in_part(tmp_path: Path, capsys:
 
 def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "info", GRASP]) == 0
-    told = capsys.readouterr().out
-    assert max(map(len, told.splitlines())) < 120
-    assert "motion.force_N: " in told
-    assert "\nwhole        yes\nproblem      -\n" in told
-    assert not re.search(r"\d{12}", told.partition("identity")[0]), "3.0999999999999996 s"
+    output = capsys.readouterr().out
+    assert max(map(len, output.splitlines())) < 120
+    assert "motion.force_N: " in output
+    assert "\nwhole        yes\nproblem      -\n" in output
+    assert not re.search(r"\d{12}", output.partition("identity")[0]), "3.0999999999999996 s"
 
 
 @pytest.mark.parametrize("verb", [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP], ["replay", "safety"]])

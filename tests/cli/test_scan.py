@@ -200,9 +200,9 @@ def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
 def test_drives_that_a_scan_cannot_find_are_named(capsys):
     with drives("local:s", "mit", "--ids", "17"):
         assert main(["scan", "--bus", "local:s"]) == 0
-        assert "not looked for: cubemars" in capsys.readouterr().out
+        assert "not searched for: cubemars" in capsys.readouterr().out
         assert main(["bus", "doctor", "--bus", "local:s"]) == 0
-    assert "not looked for: cubemars" in capsys.readouterr().out
+    assert "not searched for: cubemars" in capsys.readouterr().out
 
 
 def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
@@ -241,15 +241,15 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
     ids = ["--ids", "17,18"]
     with drives("local:s", "mit", *ids), drives("join:s", "cia402", *ids), drives("local:t", "odrive", *ids):
         assert main(["scan", "--bus", "lab=local:s", "--bus", "far=local:t", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    nodes = [(bus["name"], node["protocol"], node["node_id"]) for bus in told["buses"] for node in bus["nodes"]]
+    result = json.loads(capsys.readouterr().out)
+    nodes = [(bus["name"], node["protocol"], node["node_id"]) for bus in result["buses"] for node in bus["nodes"]]
     near = [("lab", protocol, node) for protocol in ("mit", "cia402") for node in (17, 18)]
     assert nodes == [*near, ("far", "odrive", 17), ("far", "odrive", 18)]
-    for node in (node for bus in told["buses"] for node in bus["nodes"]):
+    for node in (node for bus in result["buses"] for node in bus["nodes"]):
         assert node["serial"]
         assert node["firmware"]
         assert node["state"]
-    parsed = tomllib.loads(told["fragment"])
+    parsed = tomllib.loads(result["fragment"])
     assert [Bus.model_validate(bus).name for bus in parsed["bus"]] == ["lab", "far"]
     for motor, (bus, protocol, node) in zip(parsed["motor"], nodes, strict=True):
         assert make_drive(Motor.model_validate(motor), 0).name == f"{bus}_{protocol}_{node}"

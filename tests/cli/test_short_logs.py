@@ -49,8 +49,8 @@ def test_every_verb_reads_or_refuses_a_short_log(ticks: slice, place: Path, caps
     }
     for words, codes in verbs.items():
         assert main(list(words)) in codes, words
-        told = capsys.readouterr().err.splitlines()
-        assert len(told) <= 1, words
+        error_lines = capsys.readouterr().err.splitlines()
+        assert len(error_lines) <= 1, words
 
 
 def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
@@ -68,8 +68,8 @@ def test_an_inconsistent_clock_in_a_log_is_refused(what: str, place: Path, capsy
         odd = write(place / "odd.mcap", log, far if what == "far apart" else ticks[311:] + ticks[:311])
     assert main(["log", "check", odd]) == 1
     assert main(["report", odd]) == 0
-    told = capsys.readouterr().out
-    assert "missing between 299" in told if what == "far apart" else "gap" not in told
+    output = capsys.readouterr().out
+    assert "missing between 299" in output if what == "far apart" else "gap" not in output
     drive = ["replay", "drive", "--bus", "local:nobody", "--dry-run", odd]
     for words in (["log", "diff", odd, odd], ["log", "export", "--lerobot", odd], drive):
         assert main(words) == 2, words

@@ -51,9 +51,9 @@ def test_progress_without_a_reader_does_not_end_the_verb(monkeypatch):
         raise BrokenPipeError
 
     monkeypatch.setattr("sys.stderr.write", gone)
-    told = rich_console(error=True)
-    told.print("half of it")
-    told.print("the rest")
+    console = rich_console(error=True)
+    console.print("half of it")
+    console.print("the rest")
 
 
 def test_a_narrow_terminal_shows_a_whole_table(monkeypatch, capsys):
@@ -121,9 +121,9 @@ def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(place, monkeypatch,
     assert main(["demo", "--lockstep", "--scene", "none", "--log", "run.mcap", "--json"]) == 130
     assert capsys.readouterr().out == ""
     assert main(["log", "info", "run.commission.mcap", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["ticks"] >= 100
-    assert told["end"]["reason"] == "interrupted"
+    result = json.loads(capsys.readouterr().out)
+    assert result["ticks"] >= 100
+    assert result["end"]["reason"] == "interrupted"
 
 
 def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
@@ -133,7 +133,7 @@ def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
     monkeypatch.setattr("handctl.tune.search.search.run_search", interrupted)
     monkeypatch.setattr("handctl.cli.tuning.tune_search._design_start", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
-    assert capsys.readouterr() == ("", "handctl: interrupted; the same command goes on with jamia.study\n")
+    assert capsys.readouterr() == ("", "handctl: interrupted; the same command continues with jamia.study\n")
 
 
 @pytest.mark.parametrize(
@@ -178,5 +178,5 @@ def test_a_bug_in_handctl_is_shown_with_traceback_and_its_own_exit_code():
     ended = subprocess.run([sys.executable, "-c", BUGGY], capture_output=True, text=True)
     assert ended.returncode == 70
     assert "KeyError: 'nobody thought of this'" in ended.stderr
-    assert ended.stderr.splitlines()[-1] == "handctl: this is a bug in handctl; what stands above tells where"
+    assert ended.stderr.splitlines()[-1] == "handctl: this is a bug in handctl; the traceback above shows the place"
     assert ended.stdout == "put away\n"

@@ -39,8 +39,8 @@ def fake_search(monkeypatch):
 def test_a_search_without_a_good_trial_prints_json(fake_search, place, capsys):
     fake_search.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, 0.5)))
     assert main(["tune", "search", "--plants", "1", "--trials", "1", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert (told["trials"], told["good"], told["best"], told["gains"]) == (1, 0, None, None)
+    result = json.loads(capsys.readouterr().out)
+    assert (result["trials"], result["good"], result["best"], result["gains"]) == (1, 0, None, None)
     assert not (place / "jamia.search.toml").exists()
 
 
@@ -310,8 +310,8 @@ PERTURBING = [
         (("mass=0",), "--perturb: mass=0; expected a factor above 0"),
         (("friction=-1",), "--perturb: friction=-1; expected a finite factor, 0 or more"),
         (("mass",), "--perturb: 'mass'; expected KEY=NUMBER, e.g. stiffness=0.8"),
-        (("mass=2", "mass=3"), "--perturb: mass is there twice; expected one value for each"),
-        (("mass=2", "--perturb", "mass=3"), "--perturb: mass is there twice; expected one value for each"),
+        (("mass=2", "mass=3"), "--perturb: mass is given twice; expected one value for each"),
+        (("mass=2", "--perturb", "mass=3"), "--perturb: mass is given twice; expected one value for each"),
     ],
 )
 def test_a_wrong_perturbation_is_one_line_in_every_verb(place, capsys, verb, words, said):

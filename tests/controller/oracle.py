@@ -112,7 +112,8 @@ def assumed_measurements(block: Block, regime: Regime) -> np.ndarray:
 def joseph_update(block: Block, P: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return gain (7, 2) and covariance after an update by encoder and load cell. A mask (2,) marks those present.
 
-    The load cell's error is told from tension in slack only: elsewhere it is not corrected, and goes on to count.
+    The error of the load cell can be distinguished from tension only in slack. In other regimes it is not corrected,
+    but its variance still counts.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(missing, 1e12, 1.0))
     H[1, E] = float(block.known)

@@ -232,8 +232,8 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: f
 def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
     whole.peer.bias[2] = 25.0
     whole.until(Mode.DONE, 30.0)
-    told = "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
-    assert whole.state.failure == told
+    expected = "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
+    assert whole.state.failure == expected
 
 
 @pytest.mark.parametrize(("tare", "refused"), [(-4.1, True), (-3.9, False), (5.9, False), (6.1, True)])

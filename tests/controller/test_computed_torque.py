@@ -337,5 +337,5 @@ def test_planned_friction_reverses_only_when_the_tendon_does(model: HandModel) -
         (0.1, moving_goals(model, 0.5, 0.0, 0.4)),
     ):
         law, _ = step(model, law, estimate, goals, t)
-    there, _ = step(model, law, estimate, goals, 0.1 + model.period)
-    assert np.abs((there.planned - law.planned) / law.planned).max() < 0.05, "still the friction of a winding cable"
+    later, _ = step(model, law, estimate, goals, 0.1 + model.period)
+    assert np.abs((later.planned - law.planned) / law.planned).max() < 0.05, "still the friction of a winding cable"

@@ -186,9 +186,9 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
     assert np.abs(after.tension - before.tension).max() < 0.2
     assert np.abs(after.excursion - before.excursion).max() < 1e-6
     for state, contact, measured_now in ((held, (True,), measured), (held, (False,), measured)):
-        told, now = step(model, state, measured_now, balance, contact * len(model.digits))
+        estimate, now = step(model, state, measured_now, balance, contact * len(model.digits))
         assert np.abs(now.tension - balance).max() < 0.4
-        assert set(told.regimes) == {Regime.HELD if contact[0] else Regime.FREE}
+        assert set(estimate.regimes) == {Regime.HELD if contact[0] else Regime.FREE}
     assert n == len(after.tension)
 
 

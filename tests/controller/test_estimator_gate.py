@@ -98,9 +98,9 @@ def slack_state(hand: Held, error: float, loose: float, seconds: float) -> Estim
 
 def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> None:
     hand = Held(model)
-    told = slack_state(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
-    np.testing.assert_allclose(told.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02)
-    np.testing.assert_allclose(told.tension, 0.0, atol=1e-9)
+    estimate = slack_state(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
+    np.testing.assert_allclose(estimate.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02)
+    np.testing.assert_allclose(estimate.tension, 0.0, atol=1e-9)
     assert hand.state.regimes == (Regime.SLACK,) * model.tendon_count
 
 
@@ -121,19 +121,19 @@ def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> 
 
 def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     hand = Held(model).settled()
-    names, told = model.hand.tendon_names, list[Event]()
+    names, events = model.hand.tendon_names, list[Event]()
     for k in range(round(3 * DOUBT_S / model.period)):
         before = hand.state
         hand.sample(TENSION, travel=4e-5 * (-1) ** k)
-        told += consistency_events(model, state_of(model, before), state_of(model, hand.state))
-    assert sorted(event.where for event in told) == sorted(names), "every tendon, each once"
-    assert {event.level for event in told} == {"warn"}
+        events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
+    assert sorted(event.where for event in events) == sorted(names), "every tendon, each once"
+    assert {event.level for event in events} == {"warn"}
     for _ in range(round(5 * DOUBT_S / model.period)):
         before = hand.state
         hand.sample(TENSION)
-        told += consistency_events(model, state_of(model, before), state_of(model, hand.state))
-    assert [event.level for event in told].count("info") == len(names)
-    assert len(told) == 2 * len(names)
+        events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
+    assert [event.level for event in events].count("info") == len(names)
+    assert len(events) == 2 * len(names)
 
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(0, 0.0), (1, None), (4, None), (10_000, 0.05)])

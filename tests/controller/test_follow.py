@@ -55,7 +55,7 @@ def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("0.0, 0.5, 1.0, 2.0]", "0.0, 0.5, 0.5, 2.0]", "rise"),
         ("0.0, 0.5, 1.0, 2.0]", "0.1, 0.5, 1.0, 2.0]", "rise"),
@@ -67,12 +67,12 @@ def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:
         ("time_s", "times_s", "times_s"),
     ],
 )
-def test_a_wrong_file_is_refused_in_one_line(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_a_wrong_file_is_refused_in_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "wave.toml"
     path.write_text(GOOD.replace(old, new))
     with pytest.raises(ConfigError) as refused:
         load_trajectory(path)
-    assert told in str(refused.value)
+    assert message in str(refused.value)
     assert "\n" not in str(refused.value)
     assert str(path) in str(refused.value)
 

@@ -23,12 +23,12 @@ def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int)
 
 
 def targets_after_command(
-    model: HandModel, before: State, angle: float, there: float | Vector = np.nan
+    model: HandModel, before: State, angle: float, at_goal: float | Vector = np.nan
 ) -> State:
     """Return the targets after a command of one angle for every joint [rad], with digits at measured positions [m]."""
     state = before.copy()
     state.view("q_goal")[...] = angle
-    state.view("excursion")[...] = there
+    state.view("excursion")[...] = at_goal
     stages.store_commands(state.block, state.layout.places, *constants(model))
     return state
 
@@ -79,14 +79,14 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(ja
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
     """After a quick motion, the slower filtered target must not go on while the motor is rightly at rest."""
     arms = arms_of(jamia)
-    there, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)
+    at_goal, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)
     lagging.view("motor_anchor")[...] = 1e-3
-    resting = targets_after_command(jamia, lagging, 0.4, there)
-    np.testing.assert_array_equal(goal(resting), there, "while it still moves, as it arrives")
+    resting = targets_after_command(jamia, lagging, 0.4, at_goal)
+    np.testing.assert_array_equal(goal(resting), at_goal, "while it still moves, as it arrives")
     np.testing.assert_allclose(
         target_motion(resting), target_motion(lagging), atol=1e-12, err_msg="a leap moved no motor"
     )
-    later = targets_after_command(jamia, resting, 0.4, there)
+    later = targets_after_command(jamia, resting, 0.4, at_goal)
     np.testing.assert_array_equal(goal(later), goal(resting))
     stuck = targets_after_command(jamia, lagging, 0.4, arms * 0.1)
     assert (goal(stuck) > goal(lagging)).all(), "one that is elsewhere is judged as before"

@@ -311,18 +311,18 @@ def run_release(
     return run, run.until("open", estimate_under_tension(model, tension))
 
 
-@pytest.mark.parametrize(("tension", "settle", "took", "told"), [
+@pytest.mark.parametrize(("tension", "settle", "took", "is_reported"), [
     (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # up to the timeout
     (8.0 + RELEASED_WITHIN_N, 0.1, RELEASE_TIMEOUT_S, True),
     (7.9 + RELEASED_WITHIN_N, 0.1, 0.1, False),
     (9.0, 12.0, 12.0, False),                  # the settling time counts, even if longer
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip
-def test_a_release_that_does_not_let_go_is_reported(model, taut, tension, settle, took, told) -> None:
+def test_a_release_that_does_not_let_go_is_reported(model, taut, tension, settle, took, is_reported) -> None:
     run, lasted = run_release(model, taut, tension, settle_s=settle)
     assert lasted == pytest.approx(took, abs=0.1)
     warnings = [(event.where, event.text) for event in run.events if event.level == "warn"]
-    assert warnings == ([("index", f"release: above 8 N after {took:g} s, and going on")] if told else [])
+    assert warnings == ([("index", f"release: above 8 N after {took:g} s, and going on")] if is_reported else [])
 
 
 def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Estimate) -> None:

@@ -27,12 +27,12 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
         held.append(list(frames))
         return [frame._replace(t_ns=frame.t_ns + int(1.85 * run.period_ns)) for frame in held[0]]
 
-    told = []
+    fault_texts = []
     for run.to_host in (nothing, those_before, lambda frames: [*held[1], *frames]):
         out = run.tick()
-        told += [event.text for event in out.events if event.name == "fault"]
-    assert any("B01" in text for text in told)
-    assert not [text for text in told if "B05" in text or "B06" in text]
+        fault_texts += [event.text for event in out.events if event.name == "fault"]
+    assert any("B01" in text for text in fault_texts)
+    assert not [text for text in fault_texts if "B05" in text or "B06" in text]
     assert out.mode == Mode.ACTIVE
 
 
@@ -103,10 +103,10 @@ def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
         return stamped(run, [*held[-2], *[frame for frame in frames if frame not in motors]])
 
     run.to_host = a_tick_late
-    told = [text for _ in range(50) for text in second_answers(run.tick())]
+    reported = [text for _ in range(50) for text in second_answers(run.tick())]
     run.to_host = lambda frames: stamped(run, [*held[-1], *frames])
-    told += second_answers(run.tick())
-    assert not told
+    reported += second_answers(run.tick())
+    assert not reported
     run.to_host = lambda frames: stamped(run, [*frames, *frames])
     assert second_answers(run.tick()), "positive control"
 

@@ -40,32 +40,34 @@ def way(model: HandModel) -> tuple[DigitGoal, ...]:
 
 
 @pytest.fixture
-def there(model: HandModel) -> Estimate:
+def estimate(model: HandModel) -> Estimate:
     return exact_estimate(model, balanced_state(model, 0.42))
 
 
-def test_motion_feedback_applies_each_gain(model: HandModel, way: tuple[DigitGoal, ...], there: Estimate) -> None:
+def test_motion_feedback_applies_each_gain(model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate) -> None:
     space, gains, design = model.space, model.gains.motion, model.motion
     mass = space.motor_mass + space.load_mass
-    before = force(model, there, way)
+    before = force(model, estimate, way)
     for name, size, slope in (
         ("disturbance", 0.5, -gains.disturbance_rejection),
         ("tension", 0.4, -gains.tension_feedback),
         ("speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
         ("excursion", 2e-5, -mass * design.stiffness),
     ):
-        after = force(model, there._replace(**{name: getattr(there, name) + size}), way)
+        after = force(model, estimate._replace(**{name: getattr(estimate, name) + size}), way)
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, atol=1e-9, err_msg=name)
 
 
-def test_the_planned_acceleration_is_fed_forward(model: HandModel, way: tuple[DigitGoal, ...], there: Estimate) -> None:
+def test_the_planned_acceleration_is_fed_forward(
+    model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
+) -> None:
     """Without the feedforward of rotor inertia, the command decreases by inertia times acceleration."""
     without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
     for digit, tendons, goal in zip(model.digits, model.digit_tendons, way, strict=True):
         acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(EVALUATED_S)[2]
-    found = force(model, there, way) - force(other, there, way)
+    found = force(model, estimate, way) - force(other, estimate, way)
     assert (acceleration > 0.0).all()
     np.testing.assert_allclose(
         found, model.gains.motion.inertia_share * model.space.motor_mass * acceleration, rtol=1e-9
@@ -73,9 +75,9 @@ def test_the_planned_acceleration_is_fed_forward(model: HandModel, way: tuple[Di
 
 
 def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> None:
-    there = estimate_under_tension(model, 20.0)
-    off = there._replace(disturbance=np.full(model.tendon_count, 0.5))
-    change = force(model, off, holding_goals(model, 20.0)) - force(model, there, holding_goals(model, 20.0))
+    estimate = estimate_under_tension(model, 20.0)
+    off = estimate._replace(disturbance=np.full(model.tendon_count, 0.5))
+    change = force(model, off, holding_goals(model, 20.0)) - force(model, estimate, holding_goals(model, 20.0))
     np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
 
 
@@ -104,33 +106,33 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
 
 
 def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
-    there = estimate_under_tension(model, 20.0)
-    command = step(model, LawState.idle(there.tension), there, holding_goals(model, 20.0), EVALUATED_S)[1]
+    estimate = estimate_under_tension(model, 20.0)
+    command = step(model, LawState.idle(estimate.tension), estimate, holding_goals(model, 20.0), EVALUATED_S)[1]
     joints = len(model.hand.joints)
     assert [np.isnan(goal).tolist() for goal in (command.q, command.dq)] == [[True] * joints] * 2
 
 
 def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     """The control law opposes a deviation from the goal, and damps a motion."""
-    there, goals, design = (
+    estimate, goals, design = (
         estimate_under_tension(model, 20.0),
         holding_goals(model, 20.0),
         model.motion,
     )
-    state = LawState.idle(there.tension)
-    before = step(model, state, there, goals, EVALUATED_S)[1].torque / model.space.spool
+    state = LawState.idle(estimate.tension)
+    before = step(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
         ("speed", 1e-3, -design.tension_speed),
         ("tension", 0.4, -design.tension * integral),
     ):
-        off = there._replace(**{name: getattr(there, name) + size})
+        off = estimate._replace(**{name: getattr(estimate, name) + size})
         after = step(model, state, off, goals, EVALUATED_S)[1].torque / model.space.spool
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, err_msg=name)
 
 
 def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandModel) -> None:
-    there, space = estimate_under_tension(model, 20.0), model.space
+    estimate, space = estimate_under_tension(model, 20.0), model.space
     still = holding_goals(model, 20.0)
     start, end, since = 0.4, 0.7, 0.1
     ways = [
@@ -142,44 +144,43 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
         speed[tendons], acceleration[tendons] = one.at(EVALUATED_S - since)[1:] @ digit.reduced_moment_arms.T
     needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
     needed += (model.motion.tension_speed + space.motor_damping) * speed
-    np.testing.assert_allclose(force(model, there, goals) - force(model, there, still), needed, rtol=1e-9)
+    np.testing.assert_allclose(force(model, estimate, goals) - force(model, estimate, still), needed, rtol=1e-9)
     one_only = (goals[0], *still[1:])
-    change = force(model, there, one_only) - force(model, there, still)
+    change = force(model, estimate, one_only) - force(model, estimate, still)
     first = model.digit_tendons[0]
     np.testing.assert_allclose(change[first], needed[first], rtol=1e-9)
-    assert not np.delete(change, first).any(), "nobody else is on a way"
+    assert not np.delete(change, first).any(), "no other digit is in motion"
 
 
 def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(model: HandModel) -> None:
-    there = slack(model)
+    slack_estimate = slack(model)
+    taut_estimate = slack_estimate._replace(slack=np.zeros(model.tendon_count, dtype=bool))
     state = LawState.idle(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
-    loose = step(model, state, there, goals, EVALUATED_S)[1].torque
-    taut = step(model, state, there._replace(slack=np.zeros(model.tendon_count, dtype=bool)), goals, EVALUATED_S)[
-        1
-    ].torque
+    loose = step(model, state, slack_estimate, goals, EVALUATED_S)[1].torque
+    taut = step(model, state, taut_estimate, goals, EVALUATED_S)[1].torque
     np.testing.assert_allclose((loose - taut) / model.space.spool, model.space.coulomb, rtol=0.02)
 
 
 def test_the_goal_tension_of_a_motion_stays_within_its_limit(
-    model: HandModel, way: tuple[DigitGoal, ...], there: Estimate
+    model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
 ) -> None:
-    free = step(model, LawState.idle(there.tension), there, way, EVALUATED_S)[1].tension
-    most = 0.5 * free
-    held = step(model, LawState.idle(there.tension), there, way, EVALUATED_S, np.maximum(most, model.floor))[1].tension
-    np.testing.assert_allclose(held, np.maximum(most, model.floor))
+    free = step(model, LawState.idle(estimate.tension), estimate, way, EVALUATED_S)[1].tension
+    state, most = LawState.idle(estimate.tension), np.maximum(0.5 * free, model.floor)
+    held = step(model, state, estimate, way, EVALUATED_S, most)[1].tension
+    np.testing.assert_allclose(held, most)
 
 
 def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -> None:
-    there = estimate_under_tension(model, 10.0)
-    command = step(model, LawState.idle(there.tension), there, (DigitGoal(),) * len(model.digits), EVALUATED_S)[1]
+    estimate = estimate_under_tension(model, 10.0)
+    command = step(model, LawState.idle(estimate.tension), estimate, (DigitGoal(),) * len(model.digits), EVALUATED_S)[1]
     assert not command.joint_torque.any()
     assert np.isnan(command.tension).all()
 
 
-def test_only_moving_digits_have_goal_angles(model: HandModel, there: Estimate) -> None:
+def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: Estimate) -> None:
     goals = (*moving_goals(model, 0.4, 0.6, 1.0)[:2], *holding_goals(model, 12.0)[2:])
-    law, command = step(model, LawState.idle(there.tension), there, goals, EVALUATED_S)
+    law, command = step(model, LawState.idle(estimate.tension), estimate, goals, EVALUATED_S)
     tendons, joints = model.digit_tendons[1].stop, model.digits[1].joints.stop
     for angles in (command.q, command.dq):
         assert np.isfinite(angles[:joints]).all()

@@ -340,8 +340,8 @@ def test_every_mode_change_is_reported_once(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     hand.tick(STOP)
     hand.until(Mode.DONE)
-    told = [event.text.partition(":")[0] for event in hand.events if event.name == "mode"]
-    assert told == [f"{a.name} -> {b.name}" for a, b in zip(hand.modes, hand.modes[1:], strict=False)]
+    mode_changes = [event.text.partition(":")[0] for event in hand.events if event.name == "mode"]
+    assert mode_changes == [f"{a.name} -> {b.name}" for a, b in zip(hand.modes, hand.modes[1:], strict=False)]
 
 
 def test_the_time_of_a_program_stops_during_a_hold_by_safety(hand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,9 +31,9 @@ def task(kind: str, angle: object, **more: object) -> Task:
     ],
 )
 def test_angle_beyond_the_joint_range_is_refused(hand, kind, angle, said):
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as refused:
         check_joint_range(task(kind, angle), hand, "t.toml", DigitModel.all_of(hand))
-    assert str(told.value) == f"t.toml: phase[0].angle_deg: {said}"
+    assert str(refused.value) == f"t.toml: phase[0].angle_deg: {said}"
 
 
 def test_curve_point_beyond_the_joint_range_is_refused():
@@ -92,6 +92,6 @@ def test_a_tip_force_is_refused_before_the_bus_is_opened(tmp_path, capsys):
     path.write_text('schema = 1\nname = "t"\n[[phase]]\nkind = "close"\n[[phase]]\nkind = "hold"\ntip_force_N = 4.0\n')
     for words in (["config", "check", "--task", str(path)], ["run", "--bus", "local:nobody", "--task", str(path)]):
         assert main([*words, "--hand", "jamia"]) == 2
-        told = capsys.readouterr().err.splitlines()
-        assert len(told) == 1
-        assert "phase[1].tip_force_N: index has 1 tendon for 3 joints" in told[0]
+        error_lines = capsys.readouterr().err.splitlines()
+        assert len(error_lines) == 1
+        assert "phase[1].tip_force_N: index has 1 tendon for 3 joints" in error_lines[0]

@@ -93,18 +93,18 @@ def with_other_tension(cell: Frame) -> Frame:
     return cell._replace(data=bytes([cell.data[0] ^ 0x10]) + cell.data[1:])
 
 
-@pytest.mark.parametrize(("owed", "came", "found"), [
+@pytest.mark.parametrize(("outstanding", "came", "found"), [
     (1, "AA", "B05"), (1, "AB", "B06"), (1, "ABB", "B06"), (1, "AAB", "B06"), (1, "AAA", "B05"),
     (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
 ])  # fmt: skip
-def test_only_replies_in_excess_are_compared_with_the_expected_reply(run, owed, came, found) -> None:
+def test_only_replies_in_excess_are_compared_with_the_expected_reply(run, outstanding, came, found) -> None:
     """A late reply to an older request may have other bytes than the new reply."""
-    if owed == 2:
+    if outstanding == 2:
         run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
         run.tick()
     run.to_host = lambda frames: [f for frame in frames for f in change_first_motor(frame, came)]
-    told = [id_ for id_ in faults(run.tick()) if id_ in ("B05", "B06")]
-    assert told == ([found] if found else [])
+    reported = [id_ for id_ in faults(run.tick()) if id_ in ("B05", "B06")]
+    assert reported == ([found] if found else [])
 
 
 def change_first_motor(answer: Frame, kinds: str) -> list[Frame]:

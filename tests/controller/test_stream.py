@@ -194,7 +194,7 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(jamia: HandModel, int
         else:
             assert angle[-1] == pytest.approx(max(target, 0.0), abs=1e-6)
         clipped = stream_status(client.run.state).clipped
-        assert clipped == (0 if target == 80.0 else client.sent), "told, and no fault"
+        assert clipped == (0 if target == 80.0 else client.sent), "reported, and no fault"
         assert client.run.out is not None
         assert client.run.out.mode == Mode.ACTIVE
 
@@ -269,7 +269,7 @@ def test_invalid_target_is_counted_without_effect(jamia: HandModel, values: tupl
         status = stream_status(client.run.state)
         assert (status.refused, status.accepted) == (5, 30)
         refusals = [event for out in client.outs for event in out.events if event.name == "stream"]
-        assert len(refusals) == 1, "told once, so that a flood fills no log"
+        assert len(refusals) == 1, "reported once, so that a flood does not fill the log"
         client.follow(lambda t: 20.0, 0.1)
         assert client.faults == set()
         assert client.outs[-1].mode == Mode.ACTIVE

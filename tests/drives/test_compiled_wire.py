@@ -160,10 +160,10 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
 def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
     """Compare commands and replies. A drive may also read a table of unsolicited or rare messages."""
     drive, _, _, _ = enable_drive(name)
-    told = sorted((message.length, bool(message.flags)) for message in drive.cyclic.commands)
+    command_layouts = sorted((message.length, bool(message.flags)) for message in drive.cyclic.commands)
     asked = len(drive.cyclic.commands) - 1 if isinstance(drive, OdriveDrive) else 1
     planned = list(drive.exchange)
-    for one in told:
+    for one in command_layouts:
         planned.remove(one)
     assert len(planned) == asked
     assert {message.can_id for message in drive.cyclic.feedback} <= drive.node_ids

@@ -95,24 +95,24 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(bench: Bench, error: Error
 
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
     """An AK80-9 obeys 18 N m, so only the host limits its torque to the limit of the hand."""
-    told = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections)
+    protections = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections)
     for guard in ("watchdog", "no torque limit", "2% of full-scale torque", "ranges cannot be read back"):
-        assert guard in told
+        assert guard in protections
 
 
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
     """CubeMars AK Series Actuator Driver Manual, 5.3: -40 to 215. Some motors send the value without an offset."""
-    for more, told in (({}, 45.0), ({"temperature_offset_C": 0}, 85.0), ({"temperature_offset_C": -40.0}, 45.0)):
+    for more, temperature in (({}, 45.0), ({"temperature_offset_C": 0}, 85.0), ({"temperature_offset_C": -40.0}, 45.0)):
         drive = make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more), 0)
         state = drive.receive(drive.initial(), Frame(1, bytes((1, 0x80, 0, 0x80, 8, 0, 85, 0))))
-        assert state.temperature == told
+        assert state.temperature == temperature
 
 
 @pytest.mark.parametrize("offset", [True, "cold", 40])
 def test_another_offset_of_temperature_is_refused(offset: object) -> None:
-    with pytest.raises(ConfigError, match="temperature_offset_C") as told:
+    with pytest.raises(ConfigError, match="temperature_offset_C") as refused:
         make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9", "temperature_offset_C": offset}), 0)
-    assert "-40 or 0" in str(told.value)
+    assert "-40 or 0" in str(refused.value)
 
 
 def test_older_firmware_answers_with_six_bytes(bench: Bench) -> None:
@@ -188,7 +188,7 @@ def test_tmotorcancontrol_decodes_the_same_values() -> None:
     bench = DriveBench([drive_spec("mit", 1, "ak80-9")])
     bench.motors[0].theta = 1.25
     (answer,) = bench.receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
-    told = manager.parse_MIT_message(answer.data, "AK80-9")
-    assert (told.temperature, told.error) == (25 + 40, 0), "this client forgets that byte 6 counts from -40 degC"
-    assert told.position == pytest.approx(1.25, abs=1e-3)
-    assert told.current == pytest.approx(0.0, abs=2 * STEP_N_M)
+    decoded = manager.parse_MIT_message(answer.data, "AK80-9")
+    assert (decoded.temperature, decoded.error) == (25 + 40, 0), "this client forgets that byte 6 counts from -40 degC"
+    assert decoded.position == pytest.approx(1.25, abs=1e-3)
+    assert decoded.current == pytest.approx(0.0, abs=2 * STEP_N_M)

@@ -66,16 +66,16 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
             wired.receive([frame])
             # A reply to a request has the feedback's identifier, and another length.
             if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
-                told = dbc.decode_message(frame.can_id, frame.data)
+                decoded = dbc.decode_message(frame.can_id, frame.data)
                 for name, value in read(wired, owners[frame.can_id][1], owners[frame.can_id][0]).items():
-                    assert told[name] == pytest.approx(value, abs=1e-9), (name, frame)
+                    assert decoded[name] == pytest.approx(value, abs=1e-9), (name, frame)
                     seen[name] += 1
             if frame.can_id in bench.node.node_ids:
-                told = dbc.decode_message(frame.can_id, frame.data)
-                told.pop("counter")
+                decoded = dbc.decode_message(frame.can_id, frame.data)
+                decoded.pop("counter")
                 names = {hand.tendon_names[n]: value for n, value in wired.tensions.items()}
                 names |= {hand.joints[j]: value for j, value in wired.joints.items()}
-                assert told == pytest.approx({name: names[name] for name in told}, abs=1e-9)
+                assert decoded == pytest.approx({name: names[name] for name in decoded}, abs=1e-9)
                 seen["sensors"] += 1
         seen["torques"] += sum(is_torque_command(dbc, frame, bench, torque) for frame in bench.sent)
     assert min(seen[name] for name in ("position", "sensors")) >= TICKS // 4
@@ -93,9 +93,9 @@ def is_torque_command(dbc: Database, frame: Frame, bench: Bench, torque: float) 
             big = any(signal.big_endian for signal in message.signals)
             same = same and (big or frame.data[:first] == message.base[:first])
             if same and signals and message.can_id not in drive.node_ids:
-                told = dbc.decode_message(frame.can_id, frame.data)
+                decoded = dbc.decode_message(frame.can_id, frame.data)
                 step = abs(signals[0].scale) if signals[0].length < 32 else 1e-7
-                assert told["torque"] == pytest.approx(torque, abs=step)
+                assert decoded["torque"] == pytest.approx(torque, abs=step)
                 return True
     return False
 

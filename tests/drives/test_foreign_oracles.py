@@ -91,8 +91,8 @@ def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(dbc: cantools.dat
         message = dbc.get_message_by_name(f"Axis{NODE}_{name}")
         bench.receive(Frame(message.frame_id, message.encode(values)))
     assert bench.motors[0].servo.torque == 0.125
-    (told,) = bench.receive(Frame(codec.message_id(NODE, codec.TORQUES) | REMOTE, b""))
-    assert dbc.decode_message(told.can_id, told.data)["Torque_Target"] == 0.125
+    (reply,) = bench.receive(Frame(codec.message_id(NODE, codec.TORQUES) | REMOTE, b""))
+    assert dbc.decode_message(reply.can_id, reply.data)["Torque_Target"] == 0.125
     bench.receive(Frame(dbc.get_message_by_name(f"Axis{NODE}_Estop").frame_id, b""))
     assert bench.motors[0].servo.torque == 0.0
 

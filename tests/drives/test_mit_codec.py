@@ -70,12 +70,12 @@ def test_requests_have_the_known_bytes(request_: bytes, payload: str) -> None:
 
 
 def test_register_replies_are_decoded_to_known_values() -> None:
-    told = codec.decode_register_reply(bytes.fromhex("0100330900040000"), 1)
-    assert told is not None
-    assert (told.operation, told.register, told.value) == (0x33, 9, 1024)
-    told = codec.decode_register_reply(bytes.fromhex("0100551700008040"), 1)
-    assert told is not None
-    assert (told.operation, told.register, told.value) == (0x55, 23, 4.0)
+    decoded = codec.decode_register_reply(bytes.fromhex("0100330900040000"), 1)
+    assert decoded is not None
+    assert (decoded.operation, decoded.register, decoded.value) == (0x33, 9, 1024)
+    decoded = codec.decode_register_reply(bytes.fromhex("0100551700008040"), 1)
+    assert decoded is not None
+    assert (decoded.operation, decoded.register, decoded.value) == (0x55, 23, 4.0)
     assert codec.decode_register_reply(bytes.fromhex("0100aa0100000000"), 1) == (0xAA, 1, bytes(4))
     assert codec.decode_register_reply(bytes.fromhex("0200330900040000"), 1) is None
     assert codec.decode_register_reply(bytes.fromhex("018000800bff2020"), 1) is None
@@ -145,9 +145,9 @@ def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: in
 def test_the_simulated_firmware_reads_commands(torque: float) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
-    told = firmware.decode_command(COMMAND.pack(torque), firmware.Ranges(*RANGES))
-    assert (told.kp, told.kd) == (0.0, 0.0)
-    assert told.torque == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
+    decoded = firmware.decode_command(COMMAND.pack(torque), firmware.Ranges(*RANGES))
+    assert (decoded.kp, decoded.kd) == (0.0, 0.0)
+    assert decoded.torque == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
 
 
 STATES = st.builds(

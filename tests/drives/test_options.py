@@ -31,17 +31,17 @@ CIA402 = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
 def test_a_number_that_rounds_to_nothing_is_refused(
     protocol: str, options: dict[str, object], key: str, right: str
 ) -> None:
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as refused:
         make_drive(motor_on_bench(protocol, 1, 0.01, options), 0)
-    assert key in str(told.value)
-    assert right in str(told.value)
+    assert key in str(refused.value)
+    assert right in str(refused.value)
 
 
 @pytest.mark.parametrize("heartbeat", [1, 50.0, 1000])
 def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
     for protocol, options in (("cia402", CIA402), ("odrive", {})):
         drive = make_drive(motor_on_bench(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0)
-        assert drive.background[0][2] > 999.0 / heartbeat, "as often at least as it is told"
+        assert drive.background[0][2] > 999.0 / heartbeat, "at least as often as configured"
 
 
 def test_position_step_is_reported() -> None:

@@ -153,7 +153,7 @@ def test_an_odrive_without_a_heartbeat_is_lost(odrive: Bench) -> None:
         odrive.incoming = [frame for frame in odrive.incoming if frame.can_id & 0x1F != 1]
         odrive.tick(DriveTarget.ENABLE)
     assert odrive.states[0].error_text == "no heartbeat"
-    assert first_odrive(odrive).state == 1, "and what may be enabled is told to stop"
+    assert first_odrive(odrive).state == 1, "and what may be enabled gets a command to stop"
 
 
 def test_endpoints_hold_what_the_hand_file_says(odrive: Bench) -> None:

@@ -101,11 +101,11 @@ def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int
     nibble = sync.data[0] % 16
     frames = encode_frames(0x1A0, "tension", nibble, tensions) + encode_frames(0x1B0, "joint", nibble, joints)
     wired.receive(frames)
-    told: dict[str, Any] = {}
+    decoded: dict[str, Any] = {}
     for frame in frames:
-        told.update(DBC.decode_message(frame.can_id, frame.data, allow_truncated=True))  # type: ignore[arg-type]
-    assert wired.tensions == {i: told[f"tension_{i}"] for i in range(len(tensions))}
-    assert wired.joints == pytest.approx({i: told[f"joint_{i}"] for i in range(len(joints))}, abs=1e-12)
+        decoded.update(DBC.decode_message(frame.can_id, frame.data, allow_truncated=True))  # type: ignore[arg-type]
+    assert wired.tensions == {i: decoded[f"tension_{i}"] for i in range(len(tensions))}
+    assert wired.joints == pytest.approx({i: decoded[f"joint_{i}"] for i in range(len(joints))}, abs=1e-12)
     assert (wired.number("stale"), wired.misread) == (0, False)
 
 
@@ -135,9 +135,9 @@ def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
 def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(node: SensorNode, base: int, prefix: str) -> None:
     """The frame was delayed and overtaken, or another node sends it again."""
     (fresh, *_), (stale, *_) = (encode_frames(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2))
-    for frames, told in (([stale], 1), ([stale, fresh], 1), ([fresh, stale], 2), ([fresh, stale, stale], 2)):
+    for frames, stale_now in (([stale], 1), ([stale, fresh], 1), ([fresh, stale], 2), ([fresh, stale, stale], 2)):
         wired = node_state(node, tick_of(node, 3)).receive(frames)
-        assert (wired.number("stale_now"), wired.number("stale")) == (told, frames.count(stale))
+        assert (wired.number("stale_now"), wired.number("stale")) == (stale_now, frames.count(stale))
         assert len(wired.tensions or wired.joints) == (5 if fresh in frames else 0)
     wired.sync(tick_of(node, 4))
     assert (wired.number("stale_now"), wired.number("stale")) == (0, 2)

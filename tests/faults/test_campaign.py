@@ -112,7 +112,7 @@ def test_an_undisturbed_hand_that_holds_or_does_not_grasp_is_a_false_alarm():
     assert undisturbed("hold") == []
     assert undisturbed("hold", "B01 lost: index_motor (1): WARN") == []
     assert undisturbed("hold", "N07 noise: index_motor (1): HOLD") == ["N07 noise: index_motor (1): HOLD"] * 9
-    assert undisturbed("ready") == ["seed 5 came to no grasp: ready"]
+    assert undisturbed("ready") == ["seed 5 did not reach a grasp: ready"]
 
 
 @pytest.mark.timeout(120)

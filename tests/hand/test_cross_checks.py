@@ -105,7 +105,7 @@ CASES = {
     ),
     "same node id": (
         set_values("motor", 1, node_id=1),
-        'motor[middle_motor].node_id: 0x1 on bus "main" is taken; expected another identifier; '
+        'motor[middle_motor].node_id: 0x1 on bus "main" is taken; expected an identifier that is not in use; '
         "motor[index_motor].node_id has it",
     ),
     "node id is another's reply": (
@@ -268,7 +268,7 @@ CASES = {
     ),
     "two CANopen nodes with one number": (
         lambda c: [c["motor"][i].update(protocol="cia402", node_id=9) for i in (0, 1)],
-        'motor[middle_motor].node_id: 0x89 on bus "main" is taken; expected another identifier; '
+        'motor[middle_motor].node_id: 0x89 on bus "main" is taken; expected an identifier that is not in use; '
         "motor[index_motor].node_id has it",
     ),
     "two nodes of a protocol of one's own": (

@@ -67,14 +67,14 @@ def test_slip_is_creep_or_displacement(speed: float, ended: str, time_s: float) 
 
 
 def test_a_worker_that_ends_is_an_error() -> None:
-    told: list[tuple[str, bool]] = []
+    progress_reports: list[tuple[str, bool]] = []
     with (
-        pool.worker_pool(2, lambda job, done: told.append((job["do"], done))) as workers,
+        pool.worker_pool(2, lambda job, done: progress_reports.append((job["do"], done))) as workers,
         pytest.raises(HandctlError, match="worker"),
     ):
         workers([{"do": "nothing"}, {"do": "nothing"}])
-    assert ("nothing", False) in told
-    assert all(not done for _, done in told)
+    assert ("nothing", False) in progress_reports
+    assert all(not done for _, done in progress_reports)
 
 
 def test_workers_do_not_outlive_their_owner() -> None:

@@ -99,7 +99,7 @@ def test_digits_may_come_as_a_mapping(alone, monkeypatch):
     for do in (alone.move, alone.hold):
         with pytest.raises(ConfigError, match=r"(move|hold): 2.0; expected digits by name, as in index=30"):
             do(2.0)
-        with pytest.raises(ConfigError, match="index is there twice; expected one value for each digit"):
+        with pytest.raises(ConfigError, match="index is given twice; expected one value for each digit"):
             do({"index": 1}, index=2)
     with pytest.raises(ConfigError, match="no digit; expected one at least"):
         alone.move({})

@@ -96,7 +96,7 @@ def test_only_one_of_several_clients_commands_the_hand(live):
     assert live.observe(wait=True).q_deg[:9] == pytest.approx(10.0, abs=3.0)
     with pytest.raises(ConfigError, match="wait_for: no digit 'pinky'; expected one of"):
         live.wait_for(contact="pinky")
-    with pytest.raises(DriveError, match=r"not so after 0.1 s"):
+    with pytest.raises(DriveError, match=r"condition not met after 0.1 s"):
         live.wait_for(contact="index", timeout_s=0.1)
     assert live.wait_for(phase="live").phase == "live"
 

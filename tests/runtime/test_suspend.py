@@ -26,10 +26,10 @@ def test_a_pause_between_the_readings_is_no_suspend_and_hides_none():
     def boot():
         now["boot"] = now["boot"] + pause["before"]
         now["monotonic"] = now["monotonic"] + pause["before"]
-        told = now["boot"]
+        boot_ns = now["boot"]
         now["boot"] = now["boot"] + pause["after"]
         now["monotonic"] = now["monotonic"] + pause["after"]
-        return told
+        return boot_ns
 
     watch = SuspendWatch(boot, lambda: now["monotonic"])
     for where in pause:

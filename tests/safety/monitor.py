@@ -139,11 +139,11 @@ class Monitor:
         self.demanded, self.found = stages.find_faults(
             self.block, self.layout.places, self._read_only(), self.hand.places, self.layout.initial
         )
-        told: dict[str, dict[str, float]] = {}
+        reported: dict[str, dict[str, float]] = {}
         for row, i in zip(*np.nonzero(~np.isnan(self.found)), strict=True):
             fault, kind = DETECTOR_ROWS[row]
-            told.setdefault(fault.id, {})[self.name(kind, i) or fault.name] = float(self.found[row, i])
-        return told
+            reported.setdefault(fault.id, {})[self.name(kind, i) or fault.name] = float(self.found[row, i])
+        return reported
 
     def observe(self, rows: Rows | None = None) -> None:
         """Convert received values to measurements as a tick does before the detectors run, then screen positions."""

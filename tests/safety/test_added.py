@@ -59,10 +59,10 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(tmp_path: Path, inte
     words = [sys.executable, "-W", "ignore", "-c", TRIED]
     done = subprocess.run(words, env=os.environ | more, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
-    told = json.loads(done.stdout)
-    assert told["table"] == ["| T10 | a heavy load | The tension is above 100 N | WARN | by itself |"]
+    result = json.loads(done.stdout)
+    assert result["table"] == ["| T10 | a heavy load | The tension is above 100 N | WARN | by itself |"]
     protocols = " | ".join(["detected"] * 5)
-    assert told["page"] == [f"| T10 | heavy load | T10 WARN | {protocols} | 4 ms, 2 ticks | campaign |"]
-    assert told["actions"] == [0, 1, 1]
+    assert result["page"] == [f"| T10 | heavy load | T10 WARN | {protocols} | 4 ms, 2 ticks | campaign |"]
+    assert result["actions"] == [0, 1, 1]
     text = "T10 a heavy load: t1 (100.5): WARN"
-    assert told["events"] == [[], [["warn", "fault", "t1", text]], []]
+    assert result["events"] == [[], [["warn", "fault", "t1", text]], []]

@@ -7,21 +7,21 @@ from handctl.drives.contract import Phase
 from handctl.safety.faults.bus import WINDOW
 from tests.safety.monitor import Monitor, call_interpreted, synthetic_limits
 
-Owed = tuple[tuple[int, ...], ...]
+Outstanding = tuple[tuple[int, ...], ...]
 
 
 class OpenRequests(Monitor):
     """Motors with outstanding replies to requests of earlier ticks."""
 
-    def __init__(self, owed: Owed) -> None:
-        super().__init__(synthetic_limits(len(owed)))
+    def __init__(self, outstanding: Outstanding) -> None:
+        super().__init__(synthetic_limits(len(outstanding)))
         self.set({
-            "open_questions": {n: len(ticks) for n, ticks in enumerate(owed)},
-            "question": {(i, n): k for n, ticks in enumerate(owed) for i, k in enumerate(ticks)},
+            "open_questions": {n: len(ticks) for n, ticks in enumerate(outstanding)},
+            "question": {(i, n): k for n, ticks in enumerate(outstanding) for i, k in enumerate(ticks)},
         })  # fmt: skip
 
     @property
-    def outstanding(self) -> Owed:
+    def outstanding(self) -> Outstanding:
         """Return the number of open requests of each motor."""
         numbers, ticks = self.view("open_questions"), self.view("question").reshape(MAX_REQUESTS, -1)
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
@@ -41,7 +41,7 @@ class OpenRequests(Monitor):
         return [n for n, count in enumerate(surplus.tolist()) if count]
 
 
-@pytest.mark.parametrize(("owed", "able", "after"), [
+@pytest.mark.parametrize(("outstanding", "able", "after"), [
     (((), ()), (True, True), ((7,), (7,))),
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
     (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # a node that may skip replies owes the last one
@@ -50,8 +50,8 @@ class OpenRequests(Monitor):
     (((7 - WINDOW, 6), (8 - WINDOW, 6)), (True, True), ((6, 7), (8 - WINDOW, 6, 7))),    # the oldest request expires
     (((-WINDOW, 7 - WINDOW), (-WINDOW,)), (True, True), ((7 - WINDOW, 7), (-WINDOW, 7))),    # not the last request
 ])  # fmt: skip
-def test_a_request_increases_the_number_of_outstanding_replies(owed, able, after):
-    questions = OpenRequests(owed)
+def test_a_request_increases_the_number_of_outstanding_replies(outstanding, able, after):
+    questions = OpenRequests(outstanding)
     questions.ask(7, able)
     assert questions.outstanding == after
 
@@ -64,7 +64,7 @@ def test_outstanding_requests_are_limited() -> None:
     assert questions.outstanding[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
 
 
-@pytest.mark.parametrize(("owed", "came", "after", "too_many"), [
+@pytest.mark.parametrize(("outstanding", "came", "after", "too_many"), [
     (((1,), (1,)), [1, 1], ((), ()), []),
     (((1,), (1,)), [1, 0], ((), (1,)), []),
     (((1, 2), (2,)), [2, 1], ((), ()), []),                   # a late reply and a new reply
@@ -76,11 +76,12 @@ def test_outstanding_requests_are_limited() -> None:
     (((1,), ()), [1, 1], ((), ()), [1]),
     (((1, 2), (1, 2)), [1, 2], ((1,), ()), []),
 ])  # fmt: skip
-def test_replies_match_requests_and_the_rest_is_excess(owed, came, after, too_many):
-    questions = OpenRequests(owed)
+def test_replies_match_requests_and_the_rest_is_excess(outstanding, came, after, too_many):
+    questions = OpenRequests(outstanding)
     assert questions.answer(came) == too_many
     assert questions.outstanding == after
-    assert questions.get("surplus") == [1 + len(owed[n]) if n in too_many else 0 for n in range(len(owed))]
+    expected = [1 + len(ticks) if n in too_many else 0 for n, ticks in enumerate(outstanding)]
+    assert questions.get("surplus") == expected
 
 
 @pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])

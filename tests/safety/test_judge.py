@@ -32,8 +32,8 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
     both = merge_inputs(a.present, b.present)
     monitor, verdicts = check_ticks(*[both] * max(a.debounce, b.debounce))
     assert verdicts[-1].action >= max(a.action, b.action)
-    told = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
-    assert {(first, a.instance), (second, b.instance)} <= told
+    reported = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
+    assert {(first, a.instance), (second, b.instance)} <= reported
     for id_, case in ((first, a), (second, b)):
         assert (Latched(id_, case.instance) in monitor.latched) == case.latched
 
@@ -46,8 +46,8 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str
     _, verdicts = check_ticks(*[b.present] * b.debounce, monitor=monitor)
     expected = max(b.action, a.action if a.latched else Action.PASS)
     assert verdicts[-1].action >= expected
-    told = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
-    assert second in told
+    reported = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
+    assert second in reported
     _, (after,) = check_ticks(REST, monitor=monitor)
     left = [case.action for case in (a, b) if case.latched]
     assert after.action >= max(left, default=Action.PASS)
@@ -104,7 +104,7 @@ def test_additional_faults_never_weaken_the_action(ticks: list[tuple[TickInput, 
 
 @given(course_of_faults)
 def test_latches_only_grow_between_clearings(ticks: list[tuple[TickInput, list[str], bool]]) -> None:
-    monitor, told = rested_monitor(), list[tuple[str, str]]()
+    monitor, reported = rested_monitor(), list[tuple[str, str]]()
     for shown, _, cleared in ticks:
         before = () if cleared else monitor.latched
         if cleared:
@@ -114,8 +114,8 @@ def test_latches_only_grow_between_clearings(ticks: list[tuple[TickInput, list[s
         assert len(set(monitor.latched)) == len(monitor.latched)
         actions = {fault.id: fault.action for fault in TABLE}
         assert verdict.action >= max((actions[mark.id] for mark in monitor.latched), default=Action.PASS)
-        told += [(f.fault.id, f.instance) for f in verdict.findings]
-        assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(told), "nothing latches in silence"
+        reported += [(f.fault.id, f.instance) for f in verdict.findings]
+        assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(reported), "nothing latches in silence"
 
 
 def test_actions_are_ordered() -> None:

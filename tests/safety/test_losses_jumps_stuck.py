@@ -179,29 +179,29 @@ def test_tick_without_measurements_changes_nothing():
 
 
 def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
-    positions, told = Positions([0.125] * 2, accepted=[0.0, 0.0]), []
+    positions, dropped = Positions([0.125] * 2, accepted=[0.0, 0.0]), []
     for both in [(1.0, 0.0), (NAN, 0.0), (1.0, NAN), (NAN, 0.0), (0.1, NAN), (1.5, 2.0), (0.1, 0.0)]:
         positions.screen(list(both))
-        told.append(positions.get("dropped"))
-    assert [int(a) for a, _ in told] == [1, 1, 2, 2, 0, 1, 0]
-    assert [int(b) for _, b in told] == [0, 0, 0, 0, 0, 1, 0]
+        dropped.append(positions.get("dropped"))
+    assert [int(a) for a, _ in dropped] == [1, 1, 2, 2, 0, 1, 0]
+    assert [int(b) for _, b in dropped] == [0, 0, 0, 0, 0, 1, 0]
 
 
-@pytest.mark.parametrize(("missed", "steps", "told"), [
+@pytest.mark.parametrize(("missed", "steps", "allowed_steps"), [
     # Steps of readings in units of the allowed step of a period, and 1 for each jump. The first reading after skipped
     # ticks may answer a request from before or after them. The second reading is then late by the same time.
     (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
-def test_allowed_step_grows_over_skipped_ticks(missed, steps, told):
+def test_allowed_step_grows_over_skipped_ticks(missed, steps, allowed_steps):
     """Check two equal positions, and one position that was read beside one that was not."""
     for other in (0.0, NAN):
         positions, at, seen = Positions([1.0] * 2, accepted=[0.0, other]), 0.0, []
         for k, step in enumerate(steps):
             at += step
             seen.append(int(positions.screen([at, other], 0 if k else missed)[0] > 0.0))
-        assert tuple(seen) == told, other
+        assert tuple(seen) == allowed_steps, other
 
 
 def test_a_missing_reading_after_skipped_ticks_increases_the_allowed_step():

@@ -9,7 +9,7 @@ def found(*reports: Report) -> list[tuple[str, str, float]]:
 
 def test_bus_events_become_faults() -> None:
     assert found(("enodev", "can0", 19.0)) == [("B16", "can0", 19.0)]
-    assert found(("ebadf", "", 9.0)) == [("B16", "ebadf", 9.0)], "the kind, where no place is told"
+    assert found(("ebadf", "", 9.0)) == [("B16", "ebadf", 9.0)], "the kind, if there is no place"
     assert found(("bus_on", "can0", 1.0)) == []
     two = (("enodev", "can0", 1.0), ("other", "x", 2.0), ("ebadf", "can1", 3.0))
     assert found(*two) == [("B16", "can0", 1.0), ("B16", "can1", 3.0)]

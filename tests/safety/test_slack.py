@@ -25,7 +25,7 @@ class Tendons(Monitor):
 
     def step(self, tension: Values, wanted: Values, **rows: Any) -> list[tuple[int, int]]:
         """Process tensions and commands. Return for each tendon the ticks since it was taut, and the ticks of slack."""
-        self.told = self.tick(residual={TENSION: tension}, wanted=wanted, **rows)
+        self.reported = self.tick(residual={TENSION: tension}, wanted=wanted, **rows)
         return list(zip(self.get("taut_ago"), self.get("slack_ticks"), strict=True))
 
     def cut(self, tension: Values, **rows: Any) -> dict[str, float]:
@@ -62,14 +62,14 @@ def test_tendons_count_separately_and_begin_as_never_taut():
 def test_slack_is_reported_by_name_and_in_seconds():
     tendons = Tendons(3, taut_ago=[0, 8, 1], slack_ticks=[0, 25, 24])
     tendons.step([20.0, 0.0, 0.0], [20.0] * 3)
-    assert tendons.told["T02a"] == {"t1": 26 * T}
+    assert tendons.reported["T02a"] == {"t1": 26 * T}
     tendons = Tendons(2, taut_ago=9, slack_ticks=[249, 250])
     tendons.step([0.0] * 2, [20.0] * 2)
-    assert tendons.told["T02a"] == {"t0": 250 * T, "t1": 251 * T}
-    assert tendons.told["T02b"] == {"t1": 251 * T}
+    assert tendons.reported["T02a"] == {"t0": 250 * T, "t1": 251 * T}
+    assert tendons.reported["T02b"] == {"t1": 251 * T}
     tendons = Tendons(1)
     tendons.step([0.0], [20.0])
-    assert "T02a" not in tendons.told
+    assert "T02a" not in tendons.reported
 
 
 @pytest.mark.parametrize(("ago", "cell", "goal", "speed", "found"), [
@@ -95,13 +95,13 @@ def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
     taut = 20.0 if ago == 0 else 2.2
     tendons.step([20.0, taut], [24.0, goal], measured_tension=[20.0, cell], speed=[0.05, speed])
     assert tendons.get("taut_ago")[1] == (ago if goal == goal else -1)
-    assert tendons.told.get("T01", {}) == ({"t1": speed} if found else {})
+    assert tendons.reported.get("T01", {}) == ({"t1": speed} if found else {})
 
 
 def test_no_tendon_snaps_before_tension_is_commanded():
     tendons = Tendons(1)
     tendons.step([0.0], [24.0], measured_tension=0.0, speed=0.05)
-    assert "T01" not in tendons.told
+    assert "T01" not in tendons.reported
 
 
 def test_tension_at_the_cut_is_stored_and_ticks_are_counted():
@@ -150,12 +150,12 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
 def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
     """The first reading of a tendon becomes its reference, so it is not below the reference."""
     tendons = Tendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
-    told = tendons.cut([0.0, now])
+    reported = tendons.cut([0.0, now])
     if math.isnan(before):
         assert tendons.get("cut_from") == [0.0, 30.0]
-        assert told == {"t1": now}, "a reading of 100 ms after the cut is one of a tendon that is pulled"
+        assert reported == {"t1": now}, "a reading of 100 ms after the cut is one of a tendon that is pulled"
     else:
-        assert told == ({"t1": now} if found else {})
+        assert reported == ({"t1": now} if found else {})
 
 
 def test_the_last_tension_counts_if_the_latest_sample_is_missing():

@@ -43,7 +43,7 @@ def check_fault_alone(
     id_: str, *ticks: TickInput, monitor: Monitor | None = None
 ) -> tuple[Monitor, list[Action], list[tuple[str, str]]]:
     """Check ticks. Return the action of one fault in each tick, and the tick from which it counts."""
-    monitor, actions, told = monitor or rested_monitor(), [], []
+    monitor, actions, reported = monitor or rested_monitor(), [], []
     for shown in ticks:
         verdict = monitor.judge(show(monitor, shown), shown.reports)
         found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
@@ -52,8 +52,8 @@ def check_fault_alone(
         counts = max(present, default=0) >= BY_ID[id_].debounce or id_ in {mark.id for mark in verdict.latched}
         actions.append(BY_ID[id_].action if counts else Action.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
-        told += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == id_]
-    return monitor, actions, told
+        reported += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == id_]
+    return monitor, actions, reported
 
 
 def test_every_row_has_a_case_and_is_there_once() -> None:
@@ -70,18 +70,18 @@ def test_hand_without_disturbance_has_no_fault() -> None:
 @pytest.mark.parametrize("id_", CASES)
 def test_a_fault_counts_after_its_ticks_and_is_reported_once(id_: str) -> None:
     case = CASES[id_]
-    _, actions, told = check_fault_alone(id_, *[case.present] * (case.debounce - 1))
-    assert (actions, told) == ([Action.PASS] * (case.debounce - 1), [])
-    _, actions, told = check_fault_alone(id_, *[case.present] * (case.debounce + 5))
+    _, actions, reported = check_fault_alone(id_, *[case.present] * (case.debounce - 1))
+    assert (actions, reported) == ([Action.PASS] * (case.debounce - 1), [])
+    _, actions, reported = check_fault_alone(id_, *[case.present] * (case.debounce + 5))
     assert actions == [Action.PASS] * (case.debounce - 1) + [case.action] * 6
-    assert told == [(id_, case.instance)]
+    assert reported == [(id_, case.instance)]
 
 
 @pytest.mark.parametrize("id_", CASES)
 def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
-    _, actions, told = check_fault_alone(id_, *[CASES[id_].almost] * 100)
+    _, actions, reported = check_fault_alone(id_, *[CASES[id_].almost] * 100)
     assert set(actions) == {Action.PASS}
-    assert not told
+    assert not reported
 
 
 @pytest.mark.parametrize("id_", OTHER_SIGNS)
@@ -105,15 +105,15 @@ def test_interrupted_fault_counts_from_zero(id_: str) -> None:
 def test_latched_fault_stays_until_cleared(id_: str) -> None:
     case = CASES[id_]
     monitor, _, _ = check_fault_alone(id_, *[case.present] * case.debounce)
-    _, actions, told = check_fault_alone(id_, *[REST] * 100, monitor=monitor)
+    _, actions, reported = check_fault_alone(id_, *[REST] * 100, monitor=monitor)
     assert set(actions) == {case.action if case.latched else Action.PASS}
-    assert not told
+    assert not reported
     monitor.clear()
     _, actions, _ = check_fault_alone(id_, REST, monitor=monitor)
     assert actions == [Action.PASS]
-    _, actions, told = check_fault_alone(id_, *[case.present] * case.debounce, monitor=monitor)
+    _, actions, reported = check_fault_alone(id_, *[case.present] * case.debounce, monitor=monitor)
     assert actions[-1] == case.action, "it can come again"
-    assert [name for name, _ in told] == [id_], "and is told again"
+    assert [name for name, _ in reported] == [id_], "and is reported again"
 
 
 @pytest.mark.parametrize("id_", [id_ for id_, case in CASES.items() if case.latched])

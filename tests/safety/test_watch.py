@@ -131,32 +131,33 @@ def test_lasting_residual_is_a_fault(tension, residual):
     """Of the residual, friction explains 3 N, and the tolerance of the torque constant a tenth of 20 N."""
     monitor, found = ticks(1200, tension=tension)
     assert unexplained(monitor) == pytest.approx([residual] * 2, abs=0.05)
-    told = {name: pytest.approx(residual, abs=0.05) for name in "ab"}
-    assert found.get("T04a", {}) == (told if residual > 5.0 else {})
+    all_cells = {name: pytest.approx(residual, abs=0.05) for name in "ab"}
+    assert found.get("T04a", {}) == (all_cells if residual > 5.0 else {})
 
 
-@pytest.mark.parametrize(("force", "told"), [(5.1, False), (4.9, True), (35.1, True)])
-def test_missing_torque_is_a_fault(force, told):
+@pytest.mark.parametrize(("force", "is_reported"), [(5.1, False), (4.9, True), (35.1, True)])
+def test_missing_torque_is_a_fault(force, is_reported):
     _, found = ticks(600, force=force, tension=force)
-    assert found.get("N14", {}) == ({name: pytest.approx(15.1, abs=0.01) for name in ("ma", "mb")} if told else {})
+    expected = {name: pytest.approx(15.1, abs=0.01) for name in ("ma", "mb")}
+    assert found.get("N14", {}) == (expected if is_reported else {})
 
 
-@pytest.mark.parametrize(("rub", "told"), [(5.8, False), (6.1, True)])
-def test_friction_above_the_hand_file_is_a_fault(rub, told):
+@pytest.mark.parametrize(("rub", "is_reported"), [(5.8, False), (6.1, True)])
+def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
     """After many seconds of motion, 3 N count in excess of the torque constant's tolerance, a tenth of 29 N."""
     monitor = ticks(30)[0]
     monitor.set({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
     _, found = ticks(1, monitor, force=29.0, tension=29.0)
     grown = [call_interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)]
     assert grown == pytest.approx([rub - 2.9] * 2, abs=0.01)
-    assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if told else {})
+    assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if is_reported else {})
 
 
 def test_a_noisy_encoder_is_detected():
     """The mean squared jerk of a position that alternates by d in each tick is 16 d^2."""
-    for size, told in ((2.4e-3, {}), (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02)))):
+    for size, expected in ((2.4e-3, {}), (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02)))):
         _, found = ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
-        assert found.get("N07", {}) == told
+        assert found.get("N07", {}) == expected
 
 
 def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
@@ -178,9 +179,9 @@ def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
         return ticks(1500, monitor, excursion=[-0.02 * np.radians(deg), 0.0], read=True)[1]
 
     assert "N06a" not in slipped(2.9)
-    told = slipped(3.1)
-    assert told["N06a"] == {"a": pytest.approx(3.1, abs=0.02)}
-    assert "T08" not in told
+    reported = slipped(3.1)
+    assert reported["N06a"] == {"a": pytest.approx(3.1, abs=0.02)}
+    assert "T08" not in reported
     assert "T08" not in slipped(14.9)
     assert slipped(-15.1)["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
 
@@ -196,9 +197,9 @@ def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
     ticks(3, monitor, excursion=0.5, read=True)
     begin = monitor.get("slip_from")[0]
     assert begin == pytest.approx(-20.0 / 1e5 - 0.5)
-    _, told = ticks(1, monitor, excursion=N)
+    _, reported = ticks(1, monitor, excursion=N)
     assert monitor.get("slip_from")[0] == begin
-    assert "T08" not in told
+    assert "T08" not in reported
 
 
 EVERY = 4
@@ -207,22 +208,22 @@ EVERY = 4
 
 def run_sparse_joints(number: int, monitor: Monitor, **given: Any) -> list[Evidence]:
     """Return the ticks of a hand whose joints are read in every fourth tick, and all reports."""
-    told = []
+    reported = []
     for k in range(number):
         read = {"read": True} | given if k % EVERY == 0 else {n: v for n, v in given.items() if n == "travel"}
-        told.append(monitor.tick(resting_tick(**read)))
-    return told
+        reported.append(monitor.tick(resting_tick(**read)))
+    return reported
 
 
 def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
     monitor = monitor_at_20_newton(make_monitor(joint_period=EVERY * T))
     run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
-    told = run_sparse_joints(9, monitor, **off)
-    assert [k for k, found in enumerate(told) if "T08" in found] == [8]
-    assert told[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
-    told = run_sparse_joints(8, monitor, **off)
-    assert [k for k, found in enumerate(told) if "T08" in found] == [0, 4], "in ticks in which joints are read"
+    reported = run_sparse_joints(9, monitor, **off)
+    assert [k for k, found in enumerate(reported) if "T08" in found] == [8]
+    assert reported[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
+    reported = run_sparse_joints(8, monitor, **off)
+    assert [k for k, found in enumerate(reported) if "T08" in found] == [0, 4], "in ticks in which joints are read"
 
 
 def test_good_reading_restarts_the_count_of_derailed_readings():
@@ -251,8 +252,8 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
     monitor = monitor_at_20_newton(make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T))
     run_sparse_joints(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
     run_sparse_joints(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
-    told = run_sparse_joints(56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3)
-    joint = [k for k, found in enumerate(told) if "ja" in found.get("N04", {})]
+    reported = run_sparse_joints(56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3)
+    joint = [k for k, found in enumerate(reported) if "ja" in found.get("N04", {})]
     assert joint[0] == 48, "100 ms are 12.5 readings after one"
     monitor = monitor_after_motion(make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T))
     monitor.set({"followed": [0.51e-3, 0.0]})
@@ -268,31 +269,31 @@ def monitor_after_motion(monitor: Monitor | None = None, **given: Any) -> Monito
     return ticks(1, ticks(150, monitor_at_20_newton(monitor), **given)[0], **{"travel": 1e-5} | given)[0]
 
 
-@pytest.mark.parametrize(("number", "goal", "told"), [
+@pytest.mark.parametrize(("number", "goal", "is_reported"), [
     (51, 0.51e-3, True), (50, 0.51e-3, False),      # 100 ms
     (60, 0.49e-3, False), (60, -0.51e-3, True),
 ])  # fmt: skip
-def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, told):
+def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, is_reported):
     monitor = monitor_after_motion()
     monitor.set({"followed": [goal, 0.0]})
     _, found = ticks(number, monitor, travel=1e-5)
-    assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if told else {})
+    assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if is_reported else {})
 
 
 def test_constant_motor_reading_is_stuck_while_the_tension_changes():
-    for tension, told in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
+    for tension, expected in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
         _, found = ticks(200, monitor_after_motion(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension])
-        assert list(found.get("N04", {})) == told
+        assert list(found.get("N04", {})) == expected
 
 
 def test_constant_joint_reading_is_stuck_while_the_spool_turns():
-    for angle, told in ((9.9, []), (10.1, ["ja"])):
+    for angle, expected in ((9.9, []), (10.1, ["ja"])):
         joints = {"excursion": 0.0, "read": True}
         monitor = monitor_after_motion(joints=0.2, **joints)
         ticks(1, monitor, travel=1e-5, joints=0.3, **joints)
         travel = [1e-5 + np.radians(angle) / 50.0, 1e-5]
         _, found = ticks(55, monitor, travel=travel, joints=0.3, **joints)
-        assert [name for name in found.get("N04", {}) if name[0] == "j"] == told
+        assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected
 
 
 def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
@@ -302,21 +303,22 @@ def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
     def stuck(found: Evidence) -> list[str]:
         return [name for name in found.get("N04", {}) if name[0] == "j"]
 
-    monitor, told = ticks(200, None, tension=0.5, force=0.5, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints)
-    assert stuck(told) == []
-    _, told = ticks(200, monitor, travel=[3.0 * turn, 0.0], **joints)
-    assert stuck(told) == [], "that it has become taut moves nothing"
-    _, told = ticks(200, monitor, travel=[4.1 * turn, 0.0], **joints)
-    assert stuck(told) == ["ja"]
+    slack = {"tension": 0.5, "force": 0.5}
+    monitor, reported = ticks(200, None, **slack, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints)
+    assert stuck(reported) == []
+    _, reported = ticks(200, monitor, travel=[3.0 * turn, 0.0], **joints)
+    assert stuck(reported) == [], "that it has become taut moves nothing"
+    _, reported = ticks(200, monitor, travel=[4.1 * turn, 0.0], **joints)
+    assert stuck(reported) == ["ja"]
 
 
-@pytest.mark.parametrize(("tension", "told"), [(2.1, ["ja"]), (1.9, [])])
-def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, told):
+@pytest.mark.parametrize(("tension", "expected"), [(2.1, ["ja"]), (1.9, [])])
+def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, expected):
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = ticks(200, None, tension=2.6, force=2.6, **joints)
     ticks(200, monitor, tension=tension, force=tension, **joints)
     _, found = ticks(60, monitor, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints)
-    assert [name for name in found.get("N04", {}) if name[0] == "j"] == told
+    assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected
 
 
 def test_each_joint_is_checked_with_its_own_tendons():
@@ -328,16 +330,16 @@ def test_each_joint_is_checked_with_its_own_tendons():
     assert [name for name in found.get("N04", {}) if name[0] == "j"] == ["jb"]
 
 
-@pytest.mark.parametrize(("number", "force", "tension", "told"), [
+@pytest.mark.parametrize(("number", "force", "tension", "is_reported"), [
     (400, 25.2, 20.0, True), (400, 14.8, 20.0, True), (400, 24.8, 20.0, False), (38, 60.0, 20.0, False),
     (39, 60.0, 20.0, False), (40, 60.0, 20.0, True), (400, 26.0, 2.5, False), (400, 26.0, 2.6, True),
 ])  # fmt: skip
-def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tension, told):
+def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tension, is_reported):
     chance = np.random.default_rng(1)
     monitor, _ = ticks(100, tension=lambda k: tension + 0.1 * chance.standard_normal())
     ticks(1, monitor, tension=tension)
     _, found = ticks(number, monitor, tension=tension, force=[force, 20.0])
-    assert list(found.get("T05", {})) == (["a"] if told else [])
+    assert list(found.get("T05", {})) == (["a"] if is_reported else [])
 
 
 @pytest.mark.parametrize("late", [0, 1])

@@ -85,9 +85,9 @@ def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(monitor: Mo
           "turned": [STUCK_JOINT_DEG / DEG_PER_RAD * (1.0 - 1e-12), 0.1]}  # fmt: skip
     assert stuck_names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
     beyond = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
-    told = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
-    assert stuck_names(monitor, long, 20.0, beyond) == told
-    assert stuck_names(monitor, long - 1, 20.0, beyond) == told | {"motor": [], "joint": []}
+    all_names = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
+    assert stuck_names(monitor, long, 20.0, beyond) == all_names
+    assert stuck_names(monitor, long - 1, 20.0, beyond) == all_names | {"motor": [], "joint": []}
 
 
 def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(monitor: Monitor) -> None:
