@@ -171,7 +171,7 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
                 alarms += [event.text for event in out.events if event.name == "fault" and _is_hold_or_more(event)]
                 ended = out.mode == Mode.DONE or simulation.k * simulation.period_ns >= RUN_NS
             if ended and len(alarms) == alarms_before and simulation.out and simulation.out.phase != LAST_PHASE:
-                alarms.append(f"seed {seed} came to no grasp: {simulation.state.failure or simulation.out.phase}")
+                alarms.append(f"seed {seed} did not reach a grasp: {simulation.state.failure or simulation.out.phase}")
         seed += 1
     return alarms
 

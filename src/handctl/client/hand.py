@@ -496,7 +496,7 @@ class HandClient:
                 return seen
             if time.monotonic() > end:
                 raise DriveError(
-                    f"not so after {timeout_s:g} s: {seen.phase}", f"bus {self.bus}: wait_for"
+                    f"condition not met after {timeout_s:g} s: {seen.phase}", f"bus {self.bus}: wait_for"
                 )
 
     def _open_reader(self) -> ObservationReader:
@@ -647,7 +647,7 @@ class HandClient:
         if line["mode"] in SHUTDOWN_MODE_NAMES:
             self._collect_result()
             self._refuse_ended()
-            raise DriveError(f"the hand takes no goals any more: {line['mode']}", f"bus {self.bus}")
+            raise DriveError(f"the hand no longer accepts goals: {line['mode']}", f"bus {self.bus}")
         return line
 
     def _refuse_ended(self) -> None:
@@ -733,7 +733,7 @@ def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[s
         raise ConfigError(repr(goals), do, 'digits by name, as in index=30 or {"index": 30}')
     values = {str(name): value for name, value in (goals or {}).items()}
     if twice := values.keys() & named.keys():
-        raise ConfigError(f"{min(twice)} is there twice", do, "one value for each digit")
+        raise ConfigError(f"{min(twice)} is given twice", do, "one value for each digit")
     if not values and not named:
         raise ConfigError("no digit", do, "one at least, as in index=30")
     return values | dict(named)

@@ -111,7 +111,7 @@ class TargetStream:
             accepted = self._sender.send(self.sent, time.monotonic_ns(), target * self._factor)
         except OSError:
             self._hand.state()  # raises the reason if the run has ended
-            raise DriveError("the controller takes no targets any more", self._hand.bus) from None
+            raise DriveError("the controller no longer accepts targets", self._hand.bus) from None
         self._last = target
         self.sent += accepted
         self.skipped += not accepted

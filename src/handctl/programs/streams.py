@@ -149,7 +149,7 @@ def unsuitable(model: HandModel, request: OpenStream) -> str:
         if name not in right:
             return f"no {kind} {name!r}, expected some of {', '.join(right)}"
     if len(set(request.names)) < len(request.names):
-        return "a name is there twice, expected each once"
+        return "a name is given twice, expected each once"
     if request.space == "tip_force":
         for name in request.names:
             tendons, joints = model.digits[hand.digit_names.index(name)].moment_arms.shape

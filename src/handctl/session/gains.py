@@ -95,7 +95,7 @@ def assignments(words: Sequence[str], where: str) -> dict[str, float]:
     for word in words:
         key, equals, text = word.partition("=")
         if key in values:
-            raise ConfigError(f"{key} is there twice", where, "one value for each")
+            raise ConfigError(f"{key} is given twice", where, "one value for each")
         try:
             values[key] = float(text)
         except ValueError:

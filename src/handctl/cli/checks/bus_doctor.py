@@ -32,7 +32,7 @@ from handctl.session.exit_codes import ExitCode
 
 NO_USB = Adapter()
 """Value that stands for an interface without USB adapter."""
-BUSY_HINT = "is the machine busy, or the adapter's latency timer long? handctl doctor tells priorities"
+BUSY_HINT = "check the load of the computer and the latency timer of the adapter; handctl doctor checks the priorities"
 SLOW_S = 0.005
 """Largest acceptable median round-trip time [s], equal to the period of 200 Hz."""
 
@@ -88,7 +88,7 @@ def _check_interface(channel: str, expected: BusSection) -> list[LinkFinding]:
     except MissingTool:
         return [
             LinkFinding(
-                "the interface's state is not known: no 'ip' here",
+                "the state of the interface is unknown: the program 'ip' is not installed",
                 False,
                 "sudo apt-get install iproute2",
             )
@@ -125,8 +125,8 @@ def _check_nodes(
         for node in _nodes_with_twins(result, trips)
     ]
     if result.foreign:
-        what = "another host is at work: nodes were not asked"
-        rows.append(LinkFinding(what, False, "end it, and look again"))
+        what = "another host controls this bus: nodes were not queried"
+        rows.append(LinkFinding(what, False, "stop it, and run the command again"))
     elif hand is not None:
         rows += _missing_motors(hand, expected.name, result)
     elif not result.found:
@@ -148,14 +148,14 @@ def _measure_round_trips(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, R
 
 def _event_findings(result: Scan) -> list[LinkFinding]:
     """Return one finding per kind of bus event during the scan."""
-    return [LinkFinding(f"while asking: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
+    return [LinkFinding(f"during the scan: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
 
 
 def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
     node, trip = timed
     name = f"{node.protocol} {node.node_id}"
     if not trip.answers:
-        return LinkFinding(f"{name} was there, and answers no more", False, WIRING)
+        return LinkFinding(f"{name} answered the scan, but no further request", False, WIRING)
     times = f"{trip.shortest * 1e3:.2f} / {trip.median * 1e3:.2f} / {trip.longest * 1e3:.2f} ms"
     what = f"{name} answers {trip.answers} of {trip.asked}, shortest / median / longest {times}"
     good = trip.answers == trip.asked and trip.median < SLOW_S
@@ -170,7 +170,7 @@ def _missing_motors(hand: Hand, bus: str, result: Scan) -> list[LinkFinding]:
     return [
         LinkFinding(f"{name} does not answer", False, WIRING)
         if is_queried
-        else LinkFinding(f"{name} was not looked for: it answers orders only", True)
+        else LinkFinding(f"{name} was not searched for: it answers only to commands", True)
         for name, is_queried in names
     ]
 

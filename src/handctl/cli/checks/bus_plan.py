@@ -103,9 +103,9 @@ def _print_loads(result: dict[str, Any], detail: bool) -> None:
 
 def _print_split(buses: list[list[str]]) -> None:
     if not buses:
-        print("does not fit, and no split would: one motor alone is too much at this rate")
+        print("does not fit, even with one motor per bus")
         return
-    print(f"does not fit; {len(buses)} buses of this kind would hold it:")
+    print(f"does not fit; {len(buses)} buses of this kind are enough:")
     for i, names in enumerate(buses):
         print(f"  bus {i + 1}: {', '.join(names)}" + (" and the sensor node" if i == 0 else ""))
 

@@ -75,9 +75,9 @@ def _check_root(commands: list[Command]) -> None:
     if os.geteuid():
         text = "; ".join(shlex.join(command) for command in commands)
         raise BusError(
-            "only root may set up an interface",
+            "only root can set up an interface",
             "--yes",
-            f"sudo handctl bus up ..., or type: {text}",
+            f"sudo handctl bus up ..., or: {text}",
         )
 
 

@@ -57,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
         watch = BusWatch(drives, make_sensors(hand), opened, clock)
         print_note(f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the watch.")
         if foreign := watch.other_host():
-            raise BusError(f"another host is at work (heard: {foreign})", f"bus {', '.join(specs)}", "this host alone")
+            problem = f"another host controls this bus (received: {foreign})"
+            raise BusError(problem, f"bus {', '.join(specs)}", "no other host")
         ended = TerminationFlag()
         stack.enter_context(installed_handler(ended, signal.SIGINT, signal.SIGTERM))
         stack.callback(watch.release)

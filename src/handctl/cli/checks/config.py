@@ -195,7 +195,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     for text in table_fits(hand):
         print(f"# {text}")
     bus_loads_text = ", ".join(f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items())
-    print(f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {layers.file or 'packaged'}; all files are good")
+    print(f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {layers.file or 'packaged'}; all files are valid")
     return 0
 
 

@@ -121,12 +121,12 @@ def _mesh_of(link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes
             corners = read_triangles(Path(mesh["file"])) * np.abs(mesh["scale"])
             sizes[i] = float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)))
         except ValueError as error:
-            notes.append(f"mesh {Path(mesh['file']).name} of {link} is not taken over: {error}")
+            notes.append(f"mesh {Path(mesh['file']).name} of {link} is left out: {error}")
     if not sizes:
         return None
     largest = max(sizes, key=sizes.__getitem__)
     for i in sizes.keys() - {largest}:
-        notes.append(f"mesh {Path(meshes[i]['file']).name} of {link} is not taken over: a link has one mesh")
+        notes.append(f"mesh {Path(meshes[i]['file']).name} of {link} is left out: a link can have only one mesh")
     chosen = ModelMesh.of(meshes[largest])
     return replace(chosen, file=path_from(Path(chosen.file), output))
 

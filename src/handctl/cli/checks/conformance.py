@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         return _dry_run(args)
     warning = f"the shaft of {args.protocol} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
     confirm_motion(warning, args.yes)
-    _print_error(f"{warning}. Ctrl-C lets go.")
+    _print_error(f"{warning}. Ctrl-C switches the drive off.")
     with bus_lock(args.bus):
         node = find_drive(args)
         drive = described_drive(args, options, node)
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(_plain(args, node, results, off))
     else:
         passed = sum(check.verdict is CheckVerdict.PASSED for check in results)
-        print("its watchdog and limits stay as they were set here until it is switched off")
+        print("the drive keeps the watchdog and limits of this check until it is switched off")
         print(f"{passed} passed, {failed} failed, {len(results) - passed - failed} not applicable")
     if not off:
         _print_error(NOT_OFF_WARNING)
@@ -75,7 +75,7 @@ def _dry_run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"checks": [name for name, _, _ in PROMISES], "torque_limit_N_m": args.limit})
         return ExitCode.DONE
-    print(f"would check of {args.protocol} {args.node}, with at most {args.limit:g} N m, that it")
+    print(f"would check that {args.protocol} {args.node}, with at most {args.limit:g} N m,")
     for name, _, turns in PROMISES:
         print(f"  {name}" + (" (the shaft turns)" if turns else ""))
     return ExitCode.DONE

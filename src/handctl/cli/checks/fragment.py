@@ -23,7 +23,7 @@ def hand_file_snippet(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: in
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None.
     """
-    lines = ["# From `handctl scan`. What a drive told is marked so; measure the rest before arming."]
+    lines = ["# From `handctl scan`. Values that a drive reported are marked; measure the others before arming."]
     for name in buses:
         rates: list[Entry] = [("name", name, ""), ("bitrate", bitrate, "")]
         if data_bitrate:
@@ -46,7 +46,7 @@ def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[s
     entries: list[Entry] = [
         ("protocol", CIA404, ""),
         ("bus", bus, ""),
-        ("channels_per_node", channels, "told by the amplifier"),
+        ("channels_per_node", channels, "reported by the amplifier"),
         ("range_N", 300.0, TO_FILL_IN + "rated load of the load cells"),
         ("tension_noise_N", 0.5, TO_FILL_IN + "measure"),
         ("tension_bias_drift_N", 1.0, TO_FILL_IN + "data sheet, in 100 s"),
@@ -61,7 +61,7 @@ def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[s
 
 
 def _motor_section(bus: str, drive: DiscoveredNode) -> list[str]:
-    reported = "told by the drive"
+    reported = "reported by the drive"
     settings = drive.settings
     torque = min(settings.get("torque_max_N_m", 0.1), TORQUE_TOP)
     entries: list[Entry] = [
@@ -95,7 +95,7 @@ def _motor_section(bus: str, drive: DiscoveredNode) -> list[str]:
 
 
 def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
-    return "told by the drive" if key in settings else TO_FILL_IN + hint if hint else ""
+    return "reported by the drive" if key in settings else TO_FILL_IN + hint if hint else ""
 
 
 def _torque_source(settings: Mapping[str, float]) -> str:
@@ -107,7 +107,7 @@ def _torque_source(settings: Mapping[str, float]) -> str:
 
 def _option_lines(drive: DiscoveredNode) -> list[Entry]:
     entries: list[Entry] = [
-        (key, value, drive.origins.get(key, "told by the drive")) for key, value in drive.options.items()
+        (key, value, drive.origins.get(key, "reported by the drive")) for key, value in drive.options.items()
     ]
     if drive.protocol == "cia402":
         for key, value, where in (

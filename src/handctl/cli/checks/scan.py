@@ -106,14 +106,14 @@ def _frame_text(frame: Frame) -> str:
 
 def _print_scans(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
     for name, result in scans.items():
-        print(f"{name} ({buses[name]}): {len(result.found)} nodes, {result.frames} frames heard")
+        print(f"{name} ({buses[name]}): {len(result.found)} nodes, {result.frames} frames received")
         if result.foreign:
             frames_text = ", ".join(_frame_text(frame) for frame in result.foreign[:MAX_FOREIGN_FRAMES])
-            print(f"  another host is at work here ({frames_text}): only listened; end it, or --force")
+            print(f"  another host controls this bus ({frames_text}): no request was sent; stop it or use --force")
         if result.omitted:
             kinds = sorted({f"{frame.can_id:#05x}" for frame in result.omitted})
-            print(f"  not asked on {', '.join(kinds)}: a drive that is here would take it as an order;")
-            print("  for what answers on that, scan again with that drive off")
+            print(f"  no request with identifier {', '.join(kinds)}: a drive on this bus would take it as a command;")
+            print("  to find nodes that answer to it, switch that drive off and scan again")
         for drive in result.found:
             _print_drive(drive)
     print(undiscoverable_protocols_text())
@@ -123,7 +123,7 @@ def _print_scans(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> N
 
 def undiscoverable_protocols_text() -> str:
     """Return a line about protocols whose drives a scan cannot find."""
-    return f"not looked for: {', '.join(PROTOCOLS_WITHOUT_DISCOVERY)}, whose drives answer commands only"
+    return f"not searched for: {', '.join(PROTOCOLS_WITHOUT_DISCOVERY)}, whose drives answer only to commands"
 
 
 def _print_drive(drive: DiscoveredNode) -> None:
@@ -145,6 +145,6 @@ def _show_questions(as_json: bool) -> int:
     if as_json:
         print_json({"questions": questions})
         return ExitCode.DONE
-    print("scan listens first, and asks only if no other host is heard; these are all frames that it may send:")
+    print("scan listens first, and sends requests only if there is no other host; it may send these frames:")
     print("\n".join(questions))
     return ExitCode.DONE

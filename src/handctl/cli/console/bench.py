@@ -27,7 +27,7 @@ from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import Scan, receive_for, scan_bus
 
-NOT_OFF_WARNING = "the drive does not say that it is off: REMOVE ITS POWER"
+NOT_OFF_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
 """Message for a drive that may still make torque."""
 WATCHDOG_MS = 100
 """Watchdog time of the drive [ms], longer than the delays of a desktop without real-time priority."""
@@ -139,26 +139,26 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
         BusError: another host controls the bus.
         DriveError: the drive does not answer.
     """
-    print_note(f"{args.bus}: looking for it")
+    print_note(f"{args.bus}: searching for the drive")
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
     try:
         result = scan_bus(bus) if PROTOCOLS[args.protocol].discovery else _listened(args, bus)
     finally:
         bus.close()
     if result.foreign:
-        raise BusError("another host is at work on this bus", args.bus, "this host alone: end the other one")
+        raise BusError("another host controls this bus", args.bus, "no other host: stop it")
     for node in with_identities(result.found, args.bus, args.bitrate):
         if (node.protocol, node.node_id) == (args.protocol, args.node):
             if node.twins:
                 raise DriveError(
                     f"two drives answer as {args.protocol} {args.node}",
                     args.bus,
-                    "a number of its own",
+                    "a different node number for each drive",
                 )
             return node
     there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found) or "nothing"
-    right = "its power, bit rate and number to be right"
-    raise DriveError(f"no {args.protocol} {args.node}; there is {there}", args.bus, right)
+    right = "a drive with power and the given bit rate and node number"
+    raise DriveError(f"no {args.protocol} {args.node}; found: {there}", args.bus, right)
 
 
 def _listened(args: argparse.Namespace, bus: Bus) -> Scan:

@@ -43,7 +43,7 @@ def install_excepthook() -> None:
     def show(error_type: type[BaseException], bug: BaseException, trace: TracebackType | None) -> None:
         with escaped_streams():
             sys.__excepthook__(error_type, bug, trace)
-            print("handctl: this is a bug in handctl; what stands above tells where", file=sys.stderr)
+            print("handctl: this is a bug in handctl; the traceback above shows the place", file=sys.stderr)
         bugs.append(bug)
 
     def end() -> None:

@@ -42,8 +42,8 @@ def announce_motion(args: argparse.Namespace, plan: Plan, path: Path, calibratio
     if files:
         print_note(f"handctl: found in this folder: {'; '.join(files)}")
     if calibration and not calibration.drive:
-        text = "does not name the drives it was made with, any hand of this design would be armed with it"
-        print_escaped(f"handctl: caution: {path} {text}; handctl commission makes one that does", error=True)
+        text = "does not name its drives, so any hand of this design would be armed with it"
+        print_escaped(f"handctl: caution: {path} {text}; handctl commission writes one that does", error=True)
     if real := real_buses(plan.buses):
         joints = ", ".join(plan.hand.digit_names)
         confirm_motion(f"{plan.hand.name} on {', '.join(real)} is armed and moves {joints}", args.yes)
@@ -81,7 +81,7 @@ def confirm_motion(warning: str, yes: bool) -> None:
     if yes:
         return
     if not (sys.stdin and sys.stdin.isatty() and sys.stderr.isatty()):
-        raise ConfigError(warning, "", "--yes, once nothing and nobody is near it")
+        raise ConfigError(warning, "", "--yes, if nothing and nobody is near the hand")
     print(f"{warning}. Go on? [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise ConfigError(f"{warning}: not confirmed", "", "y at the question, or --yes")
+        raise ConfigError(f"{warning}: not confirmed", "", "the answer y, or --yes")

@@ -135,7 +135,7 @@ def output_option(parser: argparse.ArgumentParser, text: str, metavar: str = "FI
 
 def perturb_option(parser: argparse.ArgumentParser) -> None:
     """Declare --perturb: factors between parameters of the simulated hand and of its file."""
-    text = "make the simulated hand unlike its file, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
+    text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help=text)
 
 

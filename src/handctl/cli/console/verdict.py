@@ -59,7 +59,7 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
     console.print(table)
     if result["picture"]:
         console.print(f"picture: {result['picture']}", soft_wrap=True)
-    console.print(f"look at it: handctl view {result['log']}", soft_wrap=True)
+    console.print(f"view the run: handctl view {result['log']}", soft_wrap=True)
 
 
 def _pauses_text(silent: int) -> str:

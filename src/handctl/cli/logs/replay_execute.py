@@ -67,7 +67,7 @@ def _execute_unchanged(args: argparse.Namespace, log: Any) -> bool:
         print_json(result)
     else:
         print_escaped(
-            f"{execution.ticks} ticks, {execution.differing} differ, {execution.undecided} decide something else"
+            f"{execution.ticks} ticks, {execution.differing} differ, {execution.undecided} with other decisions"
         )
         for word, one in (
             ("first", execution.first),
@@ -80,7 +80,7 @@ def _execute_unchanged(args: argparse.Namespace, log: Any) -> bool:
         if execution.differing and log.gaps:
             gap = log.gaps[0]
             print_escaped(
-                f"ticks {gap.before + 1} to {gap.after - 1} are missing in it: what follows cannot be the same"
+                f"ticks {gap.before + 1} to {gap.after - 1} are missing in the log, so the ticks after them differ"
             )
         if execution.differing and logged_by != here:
             print_escaped(
@@ -120,7 +120,7 @@ def _other_gains(args: argparse.Namespace, log: Any) -> bool:
     with progress_bar("executing", len(log), args.json) as update_progress:
         execution = execute_log(log, gains, commands.add, update_progress)
     if not execution.ticks:
-        raise LogError("not one tick in it", str(args.recorded), "a run that commanded something")
+        raise LogError("contains no tick", str(args.recorded), "a run that commanded something")
     draw_commands(
         picture,
         log,
@@ -133,7 +133,7 @@ def _other_gains(args: argparse.Namespace, log: Any) -> bool:
         counts = {"ticks": execution.ticks, "differing": execution.differing, "first": first}
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
         return True
-    print_escaped(f"{execution.ticks} ticks, {execution.differing} commanded or estimated otherwise")
+    print_escaped(f"{execution.ticks} ticks, {execution.differing} with other commands or estimates")
     if execution.first:
         print_escaped(f"first: {_difference_line(execution.first)}")
     for unit, rows in change.items():

@@ -24,7 +24,8 @@ def run(args: argparse.Namespace) -> int:
         print_json({"log": str(args.recorded), **counts, "by_fault": judgement.by_fault, "stops": stops})
         return code
     print_escaped(
-        f"{judgement.ticks} ticks; these limits stop {judgement.stopped}, the run's own {judgement.stopped_logged}"
+        f"{judgement.ticks} ticks; these limits demand a stop in {judgement.stopped} of them, "
+        f"the limits of the run in {judgement.stopped_logged}"
     )
     for stop in judgement.stops:
         also = "as in the run" if stop.logged else "new"

@@ -22,9 +22,9 @@ def run(args: argparse.Namespace) -> int:
         offset = log.header.truth_offset_ns
         if truth and not truth.covers(log.t_ns + offset):
             raise LogError(
-                "is of another time than the log",
+                "was recorded at another time than the log",
                 str(args.truth),
-                "the truth of this run, in lockstep",
+                "the truth of the same run, in lockstep",
             )
         with progress_bar("drawing", quiet=args.json):
             size = write_page(out, log, logged_hand(log), truth, offset, args.log.name)

@@ -61,7 +61,8 @@ def _find_truth(args: argparse.Namespace, log: Any) -> Any:
         return truth
     if args.truth is None:
         return None
-    raise LogError("is of another time than the log", str(args.truth), "the truth of this run, in lockstep")
+    problem = "was recorded at another time than the log"
+    raise LogError(problem, str(args.truth), "the truth of the same run, in lockstep")
 
 
 def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:

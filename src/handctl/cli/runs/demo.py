@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 def _run_demo(args: argparse.Namespace) -> int:
     """Run the demo with one hand file for simulator and controller."""
     if args.lockstep and args.time_scale != 1:
-        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "no --lockstep with it: that has a time of its own")
+        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "1 with --lockstep, which does not run in real time")
     args.bus = _bus_words(load_hand(args.hand).bus_names)
     plan = make_plan(args, lockstep=args.lockstep)
     task, text = find_task(args.task, plan.hand)

@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"would jog: {line}")
         return ExitCode.DONE
     confirm_motion(line, args.yes)
-    print(f"{line}. Ctrl-C lets go.", file=sys.stderr, flush=True)
+    print(f"{line}. Ctrl-C switches the drive off.", file=sys.stderr, flush=True)
     with bus_lock(args.bus):
         node = find_drive(args)
         drive = _described(args, options, node, goal)

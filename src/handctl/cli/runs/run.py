@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     program, attached = _program_of_task(args, plan)
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
-        summary = f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
+        summary = f"{plan.hand.name}: all files are valid; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
         next_step = f"the hand would be commissioned first: {reason}" if reason else "the hand is commissioned"
         return report_dry_run(args, plan, summary, next_step, commissioning=reason)
     announce_motion(args, plan, path, calibration)

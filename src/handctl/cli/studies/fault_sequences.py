@@ -56,10 +56,10 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(figures | {"results": [result.plain() for result in broken]})
     else:
-        print(f"{len(results)} sequences, {figures['felt']} faults felt; {len(broken)} broke a rule")
+        print(f"{len(results)} sequences, {figures['felt']} faults with an effect; {len(broken)} broke a rule")
         print(f"largest true tension {figures['worst_tension_N']:.0f} N")
         for result in broken:
             print(f"{result.scenario}: {result.problem}")
         if broken:
-            print(f"their logs: {folder}; one again: --seed SEED --count 1")
+            print(f"logs: {folder}; to repeat one sequence: --seed SEED --count 1")
     return ExitCode.FAILED if broken else ExitCode.DONE

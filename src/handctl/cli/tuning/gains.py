@@ -160,7 +160,7 @@ def _rename_unusable(store: GainsStore) -> bool:
     """
     aside = store.set_aside()
     if aside:
-        print_escaped(f"handctl: {store.path} cannot be used, and is {aside} now", error=True)
+        print_escaped(f"handctl: {store.path} cannot be used, and was renamed to {aside}", error=True)
     return bool(aside)
 
 
@@ -235,7 +235,7 @@ def _set_live(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"bus": bus, "set": applied})
     else:
-        print("\n".join(f"{key} = {text}" for key, text in applied.items()) or "no change: the gains are those already")
+        print("\n".join(f"{key} = {text}" for key, text in applied.items()) or "no change: these gains are in use")
     return ExitCode.DONE
 
 
@@ -254,7 +254,7 @@ def _wait_for_answers(watcher: Any, values: dict[str, float], taken: dict[str, A
             if event["name"] == "gains":
                 _raise_refusal(event["text"])
                 return texts
-    raise UnconfirmedError(watcher.name, "gains", "taken, but not taken over")
+    raise UnconfirmedError(watcher.name, "gains", "received, but not confirmed")
 
 
 def _raise_refusal(text: str) -> None:

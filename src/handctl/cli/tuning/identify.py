@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     """Excite the hand or read logs, then fit, report, and save. Returns the exit code."""
     given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if given != 1:
-        raise ConfigError(f"{given or 'none'} of them", "--bus, --lockstep, --from-log", "one of them")
+        raise ConfigError(f"{given or 'none'} given", "--bus, --lockstep, --from-log", "one of them")
     check_perturb(args, args.lockstep)
     if args.logs and args.digits:
         raise ConfigError("together with --from-log", "--digits", "logs of these digits, or a new motion")
@@ -189,7 +189,7 @@ def _report_results(
     pictures = _pictures(hand, results, print_note)  # after the calibration: a drawing error loses nothing else
     for digit, reason in spoilt.items():
         print_escaped(
-            f"handctl: nothing of {digit} is kept: {reason}; expected a digit that meets nothing",
+            f"handctl: no parameters of {digit} are kept: {reason}; expected a digit that touches nothing",
             error=True,
         )
     for digit, reason in met.items():

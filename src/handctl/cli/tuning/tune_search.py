@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             result = run_search(plan, storage, crew, progress.show)
         except KeyboardInterrupt as error:
-            raise type(error)(f"interrupted; the same command goes on with {storage}") from None
+            raise type(error)(f"interrupted; the same command continues with {storage}") from None
         finally:
             crew.close()
     draw_search(
@@ -127,7 +127,7 @@ class _Progress:
     def __enter__(self) -> "_Progress":
         self._bar.start()
         if not self._quiet and self._bar.disable:
-            self._console.print("designing the gains to begin with")
+            self._console.print("designing the initial gains")
         return self
 
     def __exit__(self, *error: object) -> None:

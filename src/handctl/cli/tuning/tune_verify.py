@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     from handctl.tune.verify import AMPLITUDES, VerifyObserver
 
     if bool(args.bus) == args.lockstep:
-        raise ConfigError("one of them is needed", "--bus or --lockstep", "--lockstep for a simulated hand")
+        raise ConfigError("none or both given", "--bus, --lockstep", "one of them, --lockstep for a simulated hand")
     check_perturb(args, args.lockstep)
     if args.lockstep:
         refuse_bus_options(args)
@@ -163,13 +163,13 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
     back = result["returned"]
     if back:
         console.print(
-            f"back to the old gains at {back['t_s']:.3f} s (tick {back['k']}), "
+            f"returned to the old gains at {back['t_s']:.3f} s (tick {back['k']}), "
             f"amplitude {back['amplitude']:g}: {back['why']}"
         )
     if result.get("columns"):
         _print_columns(result)
     if result.get("worse") and not result["verified"]:
-        print(f"not verified: {', '.join(result['worse'])} worse than with the old gains; --accept-worse takes that")
+        print(f"not verified: {', '.join(result['worse'])} worse than with the old gains; --accept-worse accepts this")
     if result["verified"]:
         console.print(
             f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}",

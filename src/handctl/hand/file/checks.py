@@ -456,7 +456,7 @@ def _check_identifiers(hand: Hand) -> Mistakes:
         if (bus, identifier) in owner and where not in wrong:
             wrong.add(where)
             text = f"0x{identifier & ~EXTENDED:X}" if isinstance(identifier, int) else str(identifier)
-            right = f"another identifier; {owner[bus, identifier]} has it"
+            right = f"an identifier that is not in use; {owner[bus, identifier]} has it"
             yield Mistake(f'{text} on bus "{bus}" is taken', where, right)
         owner.setdefault((bus, identifier), where)
 

@@ -192,7 +192,7 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     """
     active = np.flatnonzero(log.mode == int(Mode.ACTIVE))
     if len(active) < 2:
-        raise LogError("the hand was never active in it", "the log", "a run that moved")
+        raise LogError("the hand was never active in this log", "the log", "a run that moved")
     check_order(log.t_ns, log.header.period_ns)
     start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])

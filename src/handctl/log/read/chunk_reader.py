@@ -99,7 +99,7 @@ def iter_messages(content: bytes, packed: int, channels: frozenset[int] | None =
         code, length = _RECORD.unpack_from(content, at)
         size = _RECORD.size + length
         if at + size > len(content):
-            raise ValueError("a record ends behind its chunk")
+            raise ValueError("a record extends beyond the end of its chunk")
         count = 1
         if code == MESSAGE:
             if size < _BODY:

@@ -106,7 +106,7 @@ class Recorder:
                 if not errors:
                     ends = "has ended at its start" if self._ended else f"has not started within {START_S:g} s"
                     what = f"the recorder process {ends}"
-                    raise LogError(what, str(self._path), "a machine that does less at the same time")
+                    raise LogError(what, str(self._path), "a computer with less other load")
                 raise LogError(f"cannot record: {errors[0]}", str(self._path), "a new file in a writable directory")
         except LogError:
             self._abandon_process()
