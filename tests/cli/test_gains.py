@@ -72,7 +72,7 @@ def test_gains_of_an_earlier_hand_file_are_used_and_reported(place, capsys):
     said = capsys.readouterr()
     assert json.loads(said.out)["provenance"]["identity"] == "1" * 64
     now = load_hand("jamia").identity[:12]
-    assert f"new.toml was made for jamia as 111111111111, and it is {now} now" in said.err
+    assert f"new.toml was made for jamia as 111111111111, which is now {now}" in said.err
 
 
 @pytest.mark.parametrize("verb", [("gains", "apply"), ("tune", "verify", "--lockstep", "--dry-run")])

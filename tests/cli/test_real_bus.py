@@ -57,7 +57,7 @@ def test_no_hand_is_the_default_on_a_real_bus(words, capsys):
     for bus in REAL:
         for more in ((), ("--yes",), ("--dry-run",)):
             err = refused(capsys, *words, "--bus", bus, *more)
-            assert f"--hand: no hand is named, and {bus} may have" in err
+            assert f"--hand: no hand is given, and {bus} may have" in err
     assert main([*words, "--bus", "local:nobody", "--dry-run"]) == 0, "a simulated one has a default"
 
 
@@ -99,7 +99,7 @@ def test_a_run_at_a_terminal_asks_once_for_consent(answer, code):
 
 
 def test_a_program_names_hand_and_consent(place, capfd):
-    with pytest.raises(library.ConfigError, match="no hand is named, and socketcan:can0 may have real motors"):
+    with pytest.raises(library.ConfigError, match="no hand is given, and socketcan:can0 may have real motors"):
         library.connect(bus="socketcan:can0")
     with pytest.raises(library.DriveError, match=r"is armed and moves .*; expected --yes"), library.connect(
         "jamia", "socketcan:can0"

@@ -175,7 +175,7 @@ def test_a_table_is_printed_into_a_pipe(capsys):
     ("words", "said"),
     [
         ([], "--bus: missing"),
-        (["--bus", "socketcan:can0"], "no hand is named"),
+        (["--bus", "socketcan:can0"], "no hand is given"),
         (["--bus", "main=socketcan:can0", "--time-scale", "0.5", "--hand", "jamia"], "may have real motors"),
         (["--bus", "local:d", "--for", "-1"], "--for"),
         (["--bus", "local:d", "--for", "nan"], "--for"),

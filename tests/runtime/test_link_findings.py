@@ -50,7 +50,7 @@ def test_a_good_interface_has_only_good_findings():
         ({"data": {"berr_counter": {"tx": 128, "rx": 0}}}, "128 sending", "120 ohm"),
         ({"data": {"restart_ms": 0}}, "0 ms after bus-off", "restart-ms 100"),
         ({"xstats": {"error_passive": 3, "arbitration_lost": 7}}, "3 times error passive", "120 ohm"),
-        ({"link": {"stats64": {"tx": {"dropped": 9}}}}, "9 frames to be sent dropped", "after a run"),
+        ({"link": {"stats64": {"tx": {"dropped": 9}}}}, "9 dropped transmit frames", "after a run"),
     ],
 )
 def test_each_finding_names_the_command_that_corrects_it(changes, what, fix):

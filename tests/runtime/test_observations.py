@@ -212,5 +212,5 @@ def test_a_datagram_of_another_form_is_dropped(data: bytes) -> None:
 
 
 def test_a_sender_without_a_controller_reports_it() -> None:
-    with pytest.raises(BusError, match="bus local:x: no controller takes targets; expected a running handctl run"):
+    with pytest.raises(BusError, match="bus local:x: no controller accepts targets; expected a running handctl run"):
         TargetSender("local:x", os.getpid(), 1)

@@ -91,14 +91,14 @@ class LocalCanBus(can.BusABC):
                 a bus that was opened without FD.
         """
         if msg.is_fd and not self._fd:
-            raise can.CanOperationError("an FD message, and the bus was opened without fd")
+            raise can.CanOperationError("a CAN FD message on a bus that was opened without fd")
         frame = frame_of(msg, 0, time.time_ns())
         end = time.monotonic() + (math.inf if timeout is None else timeout)
         while not self._link.send((frame._replace(can_id=frame.can_id & ~ERROR),)):
             self._raise_if_lost()
             left = end - time.monotonic()
             if left <= 0:
-                raise can.CanOperationError("the local bus takes no more frames")
+                raise can.CanOperationError("the local bus accepts no more frames")
             select.select([self._link], [], [], min(left, RETRY_S))
         if self._receive_own:
             self._waiting.append(frame)

@@ -145,13 +145,13 @@ def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
         if line["mode"] == Mode.DONE.name:
             raise PowerError("; ".join(_mode_texts(line)), f"bus {watcher.name}")
         if line["t_s"] > start_s + OFF_S:
-            raise UnconfirmedError(watcher.name, word, f"taken, and the hand is still in mode {line['mode']}")
+            raise UnconfirmedError(watcher.name, word, f"accepted, but the hand is still in mode {line['mode']}")
         new = None
         last_line = time.monotonic()
         while new is None:
             if time.monotonic() > last_line + ANSWER_S:
                 raise UnconfirmedError(
-                    watcher.name, word, f"taken, and then {CONTROLLER_SILENT} in mode {line['mode']}"
+                    watcher.name, word, f"accepted, but then {CONTROLLER_SILENT} in mode {line['mode']}"
                 )
             new = watcher.next_line(0.0) or _resubscribe(watcher)
         line = new

@@ -197,7 +197,7 @@ class Loop(Generic[S]):
         try:
             return self._run(last)
         except Exception as error:
-            left: tuple[str, ...] = ("nobody knows which, asking failed as well",)
+            left: tuple[str, ...] = ("the drives are unknown, because their query failed as well",)
             try:
                 self._send_cut()
                 left = self._poll_until_off(last[0])

@@ -135,8 +135,8 @@ def bus_lock(name: str) -> Iterator[None]:
 def _lock_error(name: str, error: OSError) -> BusError:
     """Return the error for a bus that cannot be locked."""
     if isinstance(error, BlockingIOError):
-        return BusError("another controller runs here", f"bus {name}", "one controller a bus: handctl stop")
-    return BusError(f"cannot take requests there: {error}", str(mailbox_path(name).parent), RIGHT_FOLDER)
+        return BusError("another controller runs here", f"bus {name}", "one controller per bus: handctl stop")
+    return BusError(f"cannot receive requests: {error}", str(mailbox_path(name).parent), RIGHT_FOLDER)
 
 
 def _lock_bus(name: str) -> int:
@@ -217,7 +217,7 @@ class Watcher:
             self.socket.bind(str(self.path))
         except OSError as error:
             self.socket.close()
-            raise BusError(f"cannot listen there: {error}", str(self.path.parent), RIGHT_FOLDER) from None
+            raise BusError(f"cannot receive replies: {error}", str(self.path.parent), RIGHT_FOLDER) from None
 
     def fresh_line(self, timeout_s: float) -> dict[str, Any] | None:
         """Request a status line, and return it, or None if none arrived in time [s]."""

@@ -28,7 +28,7 @@ OPEN_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
 """Flags to open a parent folder. O_PATH needs no permission to read the folder."""
 MAX_LINKS = 8
 """Largest number of symbolic links to follow."""
-RIGHT_FOLDER = "a folder that is yours alone (mode 0700); HANDCTL_RUN_DIR names another"
+RIGHT_FOLDER = "a folder that only you can access (mode 0700); HANDCTL_RUN_DIR names another"
 
 
 def run_dir() -> Path:

@@ -66,7 +66,7 @@ class TargetBox:
             self.socket.bind(str(self.path))
         except OSError as error:
             self.socket.close()
-            raise BusError(f"cannot take targets there: {error}", str(self.path.parent), RIGHT_FOLDER) from None
+            raise BusError(f"cannot receive targets: {error}", str(self.path.parent), RIGHT_FOLDER) from None
         self.socket.setblocking(False)
 
     def read(self) -> tuple[str, ...]:
@@ -115,7 +115,7 @@ class TargetSender:
             self._socket.connect(str(targets_path(name)))
         except OSError:
             self._socket.close()
-            raise BusError("no controller takes targets", f"bus {name}", "a running handctl run") from None
+            raise BusError("no controller accepts targets", f"bus {name}", "a running handctl run") from None
         self._socket.setblocking(False)
 
     def send(self, index: int, sent_ns: int, values: NDArray[np.float64]) -> bool:

@@ -43,4 +43,4 @@ def refuse_default_hand(specs: Sequence[str], where: str) -> None:
     """
     if real := real_buses(specs):
         right = f"the file of the hand that is there; the default {DEFAULT_HAND!r} is for simulated buses alone"
-        raise ConfigError(f"no hand is named, and {real[0]} may have real motors", where, right)
+        raise ConfigError(f"no hand is given, and {real[0]} may have real motors", where, right)

@@ -108,7 +108,7 @@ def previous_identified(
         return {}
     if drives and before.drive and before.drive != drives:
         if before.identified:
-            tell(f"handctl: caution: {path}: was of other drives, what was identified with them is left out")
+            tell(f"handctl: caution: {path}: was made with other drives, so their identified parameters are left out")
         return {}
     return before.identified
 

@@ -71,7 +71,7 @@ def gains_for(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> G
     if made.hand not in ("", hand.name):
         raise ConfigError(f"is for hand {made.hand!r}", str(path), f"gains for {hand.name!r}")
     if made.identity not in ("", hand.identity):
-        which = f"{hand.name} as {made.identity[:12]}, and it is {hand.identity[:12]} now"
+        which = f"{hand.name} as {made.identity[:12]}, which is now {hand.identity[:12]}"
         tell(f"handctl: {path} was made for {which}: handctl tune design shows its margins")
     return file
 

@@ -161,7 +161,7 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
         raise ConfigError(f"{chosen:g}", "--time-scale", "0.001 to 100")
     if real := real_buses(buses):
         if chosen not in (None, 1.0):
-            right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
+            right = "1, or a simulated bus: local:NAME, socketcan:vcan0"
             raise ConfigError(f"{chosen:g}, and {real[0]} may have real motors", "--time-scale", right)
         return 1.0
     simulated = simulated_time_scale(buses[0]) if buses else None  # the first bus has the socket for requests

@@ -232,7 +232,7 @@ def _turn_check(sign: int) -> Promise:
             raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
         step = torque_step(rig, sign, device.limit)
         if not step.enabled:
-            raise Failed(rig.state.error_text or "was not enabled any more")
+            raise Failed(rig.state.error_text or "was no longer enabled")
         if step.moved < -MOVED_RAD:
             raise Failed(f"{step.torque:+.3f} N m turned it by {sign * step.moved:+.3f} rad, the wrong way")
         if step.moved > MOVED_RAD:

@@ -16,7 +16,7 @@ WIRING = "check that the drives have power, both ends have 120 ohm, and all have
 ERRORS = {
     "bus_error": "bus errors", "error_warning": "times error warning", "error_passive": "times error passive",
     "bus_off": "times bus-off", "arbitration_lost": "arbitrations lost", "restarts": "restarts",
-    "rx_dropped": "received frames dropped", "tx_dropped": "frames to be sent dropped",
+    "rx_dropped": "received frames dropped", "tx_dropped": "dropped transmit frames",
 }  # fmt: skip
 """Text for each reported counter of ``Link.counts``."""
 FULL_SPEED_HZ = 333
@@ -48,7 +48,7 @@ def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None)
     """Return the finding for an interface that does not exist."""
     if name.startswith("vcan"):
         return LinkFinding(f"{name} does not exist", False, setup_command(name, bitrate, data_bitrate), fatal=True)
-    fix = f"plug the adapter in and look: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
+    fix = f"plug the adapter in and check: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
     return LinkFinding(f"{name} does not exist", False, fix + UDEV_NAME.format(name), fatal=True)
 
 
@@ -130,5 +130,5 @@ def _counter_findings(link: Link) -> list[LinkFinding]:
     """Return the findings about the event counters of an interface."""
     counted = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
     bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS)
-    fix = f"since it was made; {WIRING}; look again after a run"
+    fix = f"since it was created; {WIRING}; repeat this check after a run"
     return [LinkFinding("counted: " + (", ".join(counted) or "no errors"), not bad, fix)]
