@@ -35,7 +35,7 @@ def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
 
 def test_a_terminal_shows_a_bar_until_the_work_is_done(tmp_path: Path) -> None:
     out, error_output = at_a_terminal(("replay", "execute", LOG, "--within", "1e-9"), tmp_path)
-    assert "0 decide something else" in out
+    assert "0 with other decisions" in out
     assert "executing" in error_output
     assert "executing" not in out
     assert any(f" {share}%" in error_output for share in range(10, 100)), error_output

@@ -231,7 +231,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
     _identifies(monkeypatch, made, found)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     said = capsys.readouterr()
-    assert "nothing of index is kept: middle is blocked" in said.err
+    assert "no parameters of index are kept: middle is blocked" in said.err
     kept = load_calibration(path, hand).identified
     assert kept["index_tendon"].values == (9e4,)
     assert {name: one.values for name, one in kept.items() if name != "index_tendon"} == {

@@ -73,7 +73,7 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     outcome = second.jog(calibration, "other")
     assert outcome.state.mode == Mode.DONE
     assert not outcome.state.unconfirmed
-    assert "the calibration is another hand's, name this one's or commission it" in outcome.state.failure
+    assert "the calibration is of another hand, give that of this hand or commission it" in outcome.state.failure
     for name, text in calibration.drive.items():
         assert f"{name} is drive " in outcome.state.failure
         assert f"but was calibrated with drive {text}" in outcome.state.failure
@@ -116,7 +116,7 @@ def test_a_file_of_an_earlier_version_is_taken_with_one_line(place, capsys):
     announce_motion(bench.args, bench.plan, path, old)
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert f"caution: {path} does not name the drives it was made with" in err
+    assert f"caution: {path} does not name its drives" in err
     assert bench.jog(old, "with_old").state.failure == ""
     bench.peer.close()
 

@@ -78,7 +78,7 @@ def test_a_long_gap_is_refused_with_its_times(
     assert main(["replay", "drive", str(path), "--bus", "local:nobody", "--dry-run"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert main(["replay", "execute", str(path)]) == 1
-    assert "ticks 260 to 300 are missing in it" in capsys.readouterr().out
+    assert "ticks 260 to 300 are missing in the log" in capsys.readouterr().out
     assert main(["log", "info", str(path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["missing"] == 41
 

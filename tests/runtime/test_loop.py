@@ -271,7 +271,7 @@ def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
     run = Run(5)
     run.fail = lambda entry: raising() if entry.k == 2 else None
     run.loop.let_go = raising  # type: ignore[assignment]
-    with pytest.raises(PowerError, match="nobody knows which"):
+    with pytest.raises(PowerError, match="the drives are unknown"):
         run.go()
 
 
