@@ -63,7 +63,7 @@ def test_a_truth_file_of_another_run_is_refused(place, capsys):
     header = {"columns": ["q/index_j1"]}
     row = (10**13).to_bytes(8, "little") + bytes(8)
     (place / "run.truth").write_bytes(json.dumps(header).encode() + b"\n" + row)
-    assert "at another time than the log" in refused(capsys, "report", str(golden), "--truth", "run.truth", "--output", "x.html")
+    assert "at another time" in refused(capsys, "report", str(golden), "--truth", "run.truth", "--output", "x.html")
     assert not (place / "x.html").exists()
 
 
