@@ -139,7 +139,7 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(protoco
 def test_an_obstacle_bounds_the_tension(kp: float | None, seed: int) -> None:
     hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=kp)
     with moving(hand, seed) as run:
-        for _ in range(round((0.15 + 0.02 * seed) * RATE_HZ)):
+        for _ in range(round((0.15 + 0.01 * seed) * RATE_HZ)):
             run.tick()
         run.peer.inject("block digit=index")
         peak, blocked = 0.0, False
