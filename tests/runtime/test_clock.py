@@ -94,6 +94,7 @@ def test_the_real_clock_keeps_time() -> None:
 
 def test_the_granted_priority_is_described() -> None:
     assert str(Priority(True, True)) == "SCHED_FIFO, memory locked"
+    assert str(Priority(True, True, awake=True)) == "SCHED_FIFO, memory locked, processors kept awake"
     assert "not permitted" in str(Priority(False, False))
 
 

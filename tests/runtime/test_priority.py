@@ -2,6 +2,7 @@
 
 import os
 import sys
+from contextlib import suppress
 
 import pytest
 
@@ -14,6 +15,15 @@ pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="re
 
 def policy() -> int:
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+
+
+def open_files() -> set[str]:
+    """Return the paths of the files that this process has open."""
+    paths = set()
+    for descriptor in os.listdir("/proc/self/fd"):
+        with suppress(OSError):  # the descriptor of this list is closed meanwhile
+            paths.add(os.readlink(f"/proc/self/fd/{descriptor}"))
+    return paths
 
 
 def test_priority_is_reset_after_the_run() -> None:
@@ -48,3 +58,25 @@ def test_only_ticks_have_realtime_priority() -> None:
     assert granted_now == granted.realtime
     assert seen == [os.SCHED_FIFO if granted_now else os.SCHED_OTHER]
     assert policy() == os.SCHED_OTHER
+
+
+def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> None:
+    """An idle processor of a virtual machine took a millisecond to wake up."""
+    latency = tmp_path / "cpu_dma_latency"
+    latency.touch()
+    monkeypatch.setattr(priority, "LATENCY_FILE", str(latency))
+    assert str(latency) not in open_files()
+    with priority.realtime_priority():
+        assert str(latency) in open_files()
+        assert latency.read_bytes() == bytes(4)
+    assert str(latency) not in open_files()
+    assert priority.prepare_priority().awake
+    restore_priority()
+
+
+def test_a_system_that_lets_processors_sleep_is_no_error(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(priority, "LATENCY_FILE", str(tmp_path / "absent"))
+    with priority.awake_processors() as awake:
+        assert not awake
+    assert not priority.prepare_priority().awake
+    restore_priority()
