@@ -4,7 +4,6 @@ import select
 import socket
 import time
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import Protocol
 
 from firmware_sim.bus.frame import Frame
@@ -54,31 +53,6 @@ class ServerClock(Protocol):
     def note_reached(self, t_ns: int) -> None:
         """Report the time that the plant has reached [ns]."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class ScaledClock:
-    """CLOCK_MONOTONIC times a factor. Both sides of the wire compute the same time, and neither waits for the other.
-
-    Attributes:
-        scale: plant time per wall time.
-    """
-
-    scale: float = 1.0
-
-    def now_ns(self) -> int:
-        """Return the present time [ns]."""
-        return int(time.monotonic_ns() * self.scale)
-
-    def ticks_sent(self) -> int:
-        """See ``ServerClock``. No controller shares this clock."""
-        return 0
-
-    def note_answered(self, ticks: int) -> None:
-        """See ``ServerClock``."""
-
-    def note_reached(self, t_ns: int) -> None:
-        """See ``ServerClock``."""
 
 
 class Served(Protocol):

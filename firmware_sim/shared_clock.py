@@ -36,6 +36,8 @@ It is below the delay at which the plant gives up time, and above the longest pa
 class SharedClock:
     """Clock of a simulator with the pauses and the gate of a controller. See ``server.ServerClock``.
 
+    Before ``publish`` no controller shares it, and its time is CLOCK_MONOTONIC times the scale.
+
     Attributes:
         scale: plant time per wall time.
     """

@@ -6,7 +6,7 @@ from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
 from firmware_sim.command import CommandParser, until_signal
 from firmware_sim.printing import printable
-from firmware_sim.server import ScaledClock
+from firmware_sim.shared_clock import SharedClock
 
 _POLL_S = 0.2
 """Period of the check for a stop signal [s]."""
@@ -24,14 +24,15 @@ def run(words: list[str]) -> None:
     parser.add_argument("name", help="name of the bus, which clients reach as local:NAME")
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)")
     args = parser.parse_args(words)
-    timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], ScaledClock().now_ns, nodes=False)
+    now_ns = SharedClock().now_ns
+    timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], now_ns, nodes=False)
     port = open_port(f"local:{args.name}", 0, timed_port)
     running = [True]
     until_signal(running.clear)
     print(f"firmware_sim: ready bus=local:{printable(args.name)}", flush=True)
     try:
         while running:
-            wait_ns = max(0, port.due_ns - ScaledClock().now_ns())
+            wait_ns = max(0, port.due_ns - now_ns())
             ready, _, _ = select.select(port.readers(), port.writers(), [], min(_POLL_S, wait_ns * 1e-9))
             while port.receive(ready):
                 ready = []

@@ -23,7 +23,8 @@ from firmware_sim.paths import faults_path
 from firmware_sim.plant.motor import Motor
 from firmware_sim.printing import printable
 from firmware_sim.programs.drive_types import MIT_TYPES, ROBSTRIDE_TYPES, drive_spec
-from firmware_sim.server import ScaledClock, Server
+from firmware_sim.server import Server
+from firmware_sim.shared_clock import SharedClock
 
 STEP_NS = 1_000_000
 """Step of the shafts [ns]."""
@@ -225,7 +226,7 @@ def run(words: list[str]) -> None:
     """
     args = _parser().parse_args(words)
     specs = _specs(args)
-    clock = ScaledClock(args.time_scale)
+    clock = SharedClock(args.time_scale)
     bench = Bench(specs, clock.now_ns(), args.broken)
     port = open_port(args.bus, 0, timed_port_maker(args.wire, [DEFAULT_BITRATES], clock.now_ns))
     faults = fault_socket(args.bus, bench)

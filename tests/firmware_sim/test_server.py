@@ -13,7 +13,8 @@ from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.pace import Pace, rounded_down
 from firmware_sim.priority import ORDINARY_PRIORITY_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.server import LATE_NS, SLIP_NS, STRIDE_NS, ScaledClock, Server
+from firmware_sim.server import LATE_NS, SLIP_NS, STRIDE_NS, Server
+from firmware_sim.shared_clock import SharedClock
 from firmware_sim.world import World
 from tests.firmware_sim.manual_clock import ManualClock
 
@@ -246,8 +247,8 @@ def test_a_slip_does_not_trip_a_watchdog_but_real_silence_does(bench: Bench) -> 
 
 def test_the_scaled_clock_is_monotonic_time_times_scale(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("time.monotonic_ns", lambda: 123_456_789_019)
-    assert ScaledClock(0.1).now_ns() == 12_345_678_901
-    assert ScaledClock().now_ns() == 123_456_789_019
+    assert SharedClock(0.1).now_ns() == 12_345_678_901
+    assert SharedClock().now_ns() == 123_456_789_019
 
 
 @pytest.mark.parametrize(
