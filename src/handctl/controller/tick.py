@@ -129,7 +129,7 @@ class Controller:
             "wire": Wire(
                 self.drives,
                 self.sensors,
-                _motors_with_position_loop(self.model),
+                constants.layout.view(constants.block, "servo").astype(bool).tolist(),
                 self.model.torque_gain,
             ),
             "gather": TelemetryGatherer(layout),
@@ -496,11 +496,6 @@ class Controller:
             first += 1
         rest = Frames.of_rows(out[pending_row:count])
         return join_frames([*parts, rest]) if parts else rest
-
-
-def _motors_with_position_loop(model: HandModel) -> list[bool]:
-    """Return for each tendon whether the drive of its motor closes the position loop."""
-    return [model.hand.motor_of(name).holds_position for name in model.hand.tendon_names]
 
 
 def send_torque_only(state: State, n: int) -> None:
