@@ -196,7 +196,7 @@ def measure(seeds: int) -> dict[str, Any]:
 TEXT = """\
 Written by `python benchmarks/sensing.py --page`, from runs in lockstep with the simulated hand. Nothing on this page
 was measured on hardware. In each run the hand moves freely, closes on a cylinder, holds it while the table sinks, and
-lets go.
+releases it.
 
 Without load cells, the controller estimates the tension from the motor torque, the encoder and the friction in the hand
 file. The simulated motor has exactly the friction of its hand file. On a real hand, an error of the friction in the

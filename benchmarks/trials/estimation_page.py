@@ -38,9 +38,8 @@ def section(result: dict) -> str:
     many = max(result["seeds"].values())
     seeds = many if few == many else f"{few} to {many}"
     parts += [
-        "`python benchmarks/estimation.py --page` writes this section. The error is that of the estimated "
-        "tension at the "
-        "load cell, compared with the true tension of the simulated hand. All numbers are root mean square "
+        "`python benchmarks/estimation.py --page` writes this section. The error is the estimated "
+        "minus the true tension at the load cell. All numbers are root mean square "
         "errors (RMSE) "
         f"in newtons over all tendons, unless the column is a ratio. Seeds: {seeds}. A sample of the load cell "
         f"is one "
@@ -124,7 +123,7 @@ EXPLANATION = (
     "When a tendon reverses its motion, the friction changes sign and the tension changes by twice the friction. The "
     "filter predicts this change from the speed of the tendon. When a digit hits an object (regime *impact*), "
     "the first "
-    "two samples after the impact decide about the error, and every filter that averages samples is late. "
+    "two samples after the impact determine the error, and every filter that averages samples is late. "
     "jamia11 gains "
     "least from the filter in this regime.",
     "While a tendon is taut, no measurement distinguishes an error of the load cell from tension. A bias of the load "
