@@ -89,16 +89,9 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
         recorder.record(pack_tick_record(entry, out))
 
     took = []
-
-    def tick(state, entry):
-        began = _now()
-        result = controller.tick(state, entry)
-        took.append(_now() - began)
-        return result
-
     loop = Loop(
-        clock, plan.period_ns, [bus], tick, cut, counter.requests, lambda: list(recorder.events()), record,
-        counter,
+        clock, plan.period_ns, [bus], lambda state, entry: TimedTick(controller, state, entry, took), cut,
+        counter.requests, lambda: list(recorder.events()), record, counter,
     )  # fmt: skip
     state = loop.run(controller.initial())
     recorder.close("done")
@@ -109,6 +102,28 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     span = (counter.last_ns - counter.first_ns) / 1e9
     missed = (counter.last_k - counter.first_k - counter.ticks) / counter.ticks
     return counter.ticks / span, missed, counter.late, took[-counter.ticks :], counter.cpu_s / span
+
+
+class TimedTick:
+    """Tick that measures the wall time of its three steps [ns]."""
+
+    def __init__(self, controller, state, entry, took) -> None:
+        began = _now()
+        self.step = controller.begin(state, entry)
+        self.took = took
+        self.spent = _now() - began
+
+    def command(self, requests):
+        began = _now()
+        frames = self.step.command(requests)
+        self.spent += _now() - began
+        return frames
+
+    def conclude(self):
+        began = _now()
+        result = self.step.conclude()
+        self.took.append(self.spent + _now() - began)
+        return result
 
 
 class Counter:

@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,27 @@ class _Ready:
         return []
 
 
+@dataclass
+class _ReadyTick:
+    """A tick whose result is known.
+
+    Attributes:
+        state: number of ticks so far.
+        out: output of the tick.
+    """
+
+    state: int
+    out: TickOut
+
+    def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
+        """Return the frames of the tick."""
+        return self.out.frames
+
+    def conclude(self) -> tuple[int, TickOut]:
+        """Return the result."""
+        return self.state, self.out
+
+
 def _loop(
     seconds: float,
     spin: bool,
@@ -122,12 +144,12 @@ def _loop(
     """Run the controller's loop for a time."""
     last = int(seconds * RATE_HZ)
 
-    def tick(state: int, entry: TickIn) -> tuple[int, TickOut]:
+    def begin(state: int, entry: TickIn) -> _ReadyTick:
         out = ticks[state % len(ticks)][1]
-        return state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out
+        return _ReadyTick(state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out)
 
     clock = RealClock(PERIOD_NS, spin=spin)
-    loop = Loop(clock, PERIOD_NS, [_Ready(ticks)], tick, (), tuple, events, record, lambda entry, out: None)
+    loop = Loop(clock, PERIOD_NS, [_Ready(ticks)], begin, (), tuple, events, record, lambda entry, out: None)
     loop.run(0)
     return loop.stats
 

@@ -1,6 +1,7 @@
 """The kernels: compiled and interpreted bytes are equal, no kernel compiles in a tick, no kernel is stale."""
 
 import ast
+import hashlib
 import json
 import os
 import shutil
@@ -15,6 +16,9 @@ from numba.core.errors import TypingError
 
 import handctl
 from handctl.compiled import MARKED, SOURCES, borrow, kernel, prepare
+from handctl.core.block import STATE, STREAM_RANGE
+from handctl.core.law.stream import begin_segments
+from handctl.core.schema import Layout
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import rebuild_controller
 from tests.contracts.random_hands import TICKS, tick_hashes
@@ -27,8 +31,6 @@ PACKAGE = Path(handctl.__file__).parent
 
 def hash_of_execution(log: Path) -> str:
     """Execute a log again, and return one hash of all states and numbers."""
-    import hashlib
-
     digest = hashlib.blake2b(digest_size=16)
     with RunLog(log) as run, np.errstate(all="ignore"):
         controller = rebuild_controller(run)
@@ -80,6 +82,32 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(hands: list[tup
         apart = [i for i, (a, b) in enumerate(zip(one, two, strict=True)) if a != b]
         assert not apart, f"{hand[0]} tendons, seed {hand[1]}: from tick {apart[0]} on"
         assert len(set(one)) == TICKS, "no tick does nothing"
+
+
+def hash_of_segments() -> str:
+    """Begin random motions to streamed targets, and return one hash of all blocks."""
+    digest = hashlib.blake2b(digest_size=16)
+    draw = np.random.default_rng(0)
+    axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
+    layout = Layout(STATE, dict.fromkeys(axes, 3))
+    for i in range(200):
+        block = layout.initial.copy()
+        rows = layout.table(block, "coordinate")
+        rows[...] = draw.normal(size=rows.shape)
+        rows[STREAM_RANGE], rows[STREAM_RANGE + 1] = -1.0, 1.0
+        aim, held = draw.normal(size=(2, 3))
+        duration = draw.uniform(0.002, 0.05)
+        apart = np.inf if i % 5 == 0 else draw.uniform(0.005, 0.05)
+        clipped = begin_segments(block, layout.places, aim, held, draw.normal(), duration, apart, 5.0, i % 2)
+        digest.update(block.tobytes() + bytes([bool(clipped)]))
+    return digest.hexdigest()
+
+
+def test_interpreted_kernels_begin_the_same_motions() -> None:
+    with run_without_compiler("-c", f"from {__name__} import hash_of_segments; print(hash_of_segments())") as other:
+        mine = hash_of_segments()
+        output, _ = other.communicate(timeout=120)
+    assert output.strip() == mine
 
 
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:

@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from handctl.controller.snapshot import restore_state, snapshot_bytes
+from handctl.controller.state import layout_of_state
 from handctl.controller.streams import stream_status
+from handctl.core import block as s
 from handctl.core.law.goal import Kind
+from handctl.core.law.stream import begin_segments
 from handctl.core.law.trajectory import Streamed
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut
@@ -19,7 +22,7 @@ from handctl.hand.dynamics import static_torque
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import is_target, parse_target, target_text
-from handctl.programs.streams import continued, holdable, horizon_s, mapping, segment
+from handctl.programs.streams import continued, holdable, horizon_s, mapping
 from handctl.programs.task import Task
 from handctl.session.simulate import Simulation, Simulator, homed_controller
 
@@ -632,19 +635,45 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.outs[-1].phase == "live"
 
 
-def test_a_segment_meets_both_ends() -> None:
+def test_a_segment_meets_both_ends(jamia: HandModel) -> None:
     random = np.random.default_rng(0)
+    layout = layout_of_state(jamia, 1)
+    count = jamia.coordinate_count
+    T, apart = 0.014, 0.01
     for _ in range(20):
-        start, target, speed, T = random.normal(size=(3, 4)), random.normal(size=4), random.normal(size=4), 0.014
-        for smooth in (False, True):
-            powers = segment(start, target, speed, T, smooth)
+        start = random.normal(size=(3, count))
+        target, speed = random.normal(size=count), random.normal(size=count)
+        for smooth in (0, 1):
+            block = layout.initial.copy()
+            rows = layout.table(block, "coordinate")
+            rows[s.TRAJECTORY : s.TRAJECTORY + 3] = start
+            rows[s.STREAM_RANGE], rows[s.STREAM_RANGE + 1] = -9.0, 9.0
+            rows[s.STREAM_TARGET] = target - speed * apart
+            assert not begin_segments(block, layout.places, target, target, 0.5, T, apart, 9.0, smooth)
+            assert (layout.view(block, "stream_since"), layout.view(block, "stream_duration")) == (0.5, T)
+            powers = rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6]
             at = [np.polynomial.polynomial.polyval(t, powers) for t in (0.0, T)]
             np.testing.assert_allclose(at[0], start[0], atol=1e-12)
             np.testing.assert_allclose(at[1], target, atol=1e-9)
+            np.testing.assert_allclose(rows[s.STREAM_TARGET_RATE], speed)
             if smooth:
                 slope = np.polynomial.polynomial.polyder(powers)
                 np.testing.assert_allclose(np.polynomial.polynomial.polyval(0.0, slope), start[1])
                 np.testing.assert_allclose(np.polynomial.polynomial.polyval(T, slope), speed, atol=1e-6)
+
+
+def test_a_segment_keeps_range_and_speed(jamia: HandModel) -> None:
+    layout = layout_of_state(jamia, 1)
+    block = layout.initial.copy()
+    rows = layout.table(block, "coordinate")
+    rows[s.STREAM_RANGE], rows[s.STREAM_RANGE + 1] = 0.0, 1.0
+    aim = np.full(jamia.coordinate_count, 1.5)
+    assert begin_segments(block, layout.places, aim, aim, 0.0, 0.01, 0.01, 5.0, 1), "clipped to the range"
+    np.testing.assert_array_equal(rows[s.STREAM_TARGET], 1.0)
+    np.testing.assert_array_equal(rows[s.STREAM_TARGET_RATE], 5.0)
+    aim[:] = 0.5
+    assert not begin_segments(block, layout.places, aim, aim, 0.0, 0.01, math.inf, 5.0, 1)
+    np.testing.assert_array_equal(rows[s.STREAM_TARGET_RATE], 0.0)
 
 
 def test_a_stream_needs_no_goal_objects_per_target(jamia: HandModel) -> None:

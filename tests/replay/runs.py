@@ -144,7 +144,7 @@ def run(
         clock,
         plan.period_ns,
         [LockstepBus(clock)],
-        controller.tick,
+        controller.begin,
         controller.cut_frames(),
         lambda: (requests or {}).get(clock.k, ()),
         lambda: [*recorder.events(), *(io_events or {}).get(clock.k, ())],

@@ -70,6 +70,24 @@ class FakeBus:
 
 
 @dataclass
+class WholeTick:
+    """A tick whose steps are all in ``command``."""
+
+    tick: Callable[[int, TickIn], tuple[int, TickOut]]
+    state: int
+    entry: TickIn
+    result: tuple[int, TickOut] | None = None
+
+    def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
+        self.result = self.tick(self.state, self.entry._replace(requests=requests))
+        return self.result[1].frames
+
+    def conclude(self) -> tuple[int, TickOut]:
+        assert self.result
+        return self.result
+
+
+@dataclass
 class Run:
     """A loop of a few ticks, with records of all its calls."""
 
@@ -86,7 +104,7 @@ class Run:
         self.recorded: list[tuple[TickIn, TickOut]] = []
         self.shown: list[tuple[TickIn, TickOut]] = []
         self.loop: Loop[int] = Loop(
-            self.clock, PERIOD, self.buses, self.tick, CUT,
+            self.clock, PERIOD, self.buses, lambda state, entry: WholeTick(self.tick, state, entry), CUT,
             lambda: self.requests.pop(0) if self.requests else (),
             lambda: self.host.pop(0) if self.host else [],
             lambda entry, out: self.recorded.append((entry, out)),

@@ -54,7 +54,7 @@ def ticks_of(reader: ObservationReader) -> list[int]:
 def write(writer: ObservationWriter, k: int, status: StreamStatus = NO_STREAM) -> None:
     """Write the record of a tick."""
     out = TickOut((), Mode.ACTIVE, "live", Action.WARN, numbers_of(k), (), bytes(8))
-    writer.publish(TickIn(k, 2_000_000 * k, 7), out, status)
+    writer.publish(TickIn(k, 2_000_000 * k, 7), out, status, time.monotonic_ns())
 
 
 def test_a_record_comes_back_with_every_field() -> None:

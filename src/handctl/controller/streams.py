@@ -7,6 +7,7 @@ import numpy as np
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core.law.goal import Kind
+from handctl.core.law.stream import CLIP_TOLERANCE, begin_segments
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Mode, Vector
 from handctl.programs.program import Progress, coordinates_by_excursion
@@ -21,7 +22,6 @@ from handctl.programs.streams import (
     loop_fractions,
     mapping,
     opened,
-    segment,
     staying,
     streamed_goals,
     tensions_of,
@@ -29,8 +29,6 @@ from handctl.programs.streams import (
 
 OLDEST_S = 0.1
 """Age beyond which a target is ignored [s], because later targets replace it."""
-CLIP_TOLERANCE = 1e-9
-"""Smallest difference from the requested value that counts as clipping [rad, N]."""
 STEADY_PERIODS = 2.5
 """Longest time between two targets from which a speed is computed [periods of the stream]."""
 LEAD_N = 6.0
@@ -213,32 +211,24 @@ def _begin_segment(
     rows = state.layout.table(state.block, "coordinate")
     where = mapping(model, stream.space, stream.names)
     aim = np.where(where.driven, where.matrix @ values, rows[s.STREAM_TARGET])
-    inside = np.clip(aim, *model.reach)
-    for d in where.digits:
-        digit = model.digits[d]
-        places = model.digit_coordinates[d]
-        inside[places] = holdable(digit, inside[places], model.floor[digit.tendons])
-    inside = np.clip(inside, *model.reach)
-    apart_s = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
-    steady = state.whole(s.STREAMING) == RUNNING and apart_s <= STEADY_PERIODS * stream.period
-    speed = (
-        (inside - rows[s.STREAM_TARGET]) / max(apart_s, 0.5 * stream.period)
-        if steady
-        else np.zeros_like(inside)
-    )
-    top = math.radians(model.hand.stream.speed_deg_s)
+    held = aim
+    if where.held:
+        held = np.clip(aim, *model.reach)
+        for d in where.held:
+            digit = model.digits[d]
+            places = model.digit_coordinates[d]
+            held[places] = holdable(digit, held[places], model.floor[digit.tendons])
     # The reference of the last tick is the start. This tick is already on the way.
     since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
-    smooth = stream.interpolation == "minimum_jerk"
-    speed = np.clip(speed, -top, top)
-    powers = segment(rows[s.TRAJECTORY : s.TRAJECTORY + 3], inside, speed, duration, smooth)
-    rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = powers
-    rows[s.STREAM_TARGET_RATE] = speed
-    rows[s.STREAM_TARGET] = inside
-    state.set_number(s.STREAM_SINCE, since)
-    state.set_number(s.STREAM_DURATION, duration)
-    return bool((np.abs(inside - aim) > CLIP_TOLERANCE).any())
+    apart = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
+    steady = state.whole(s.STREAMING) == RUNNING and apart <= STEADY_PERIODS * stream.period
+    # Two targets that come together do not show the speed of the stream.
+    apart = max(apart, 0.5 * stream.period) if steady else math.inf
+    return begin_segments(
+        state.block, state.layout.places, aim, held, since, duration, apart,
+        math.radians(model.hand.stream.speed_deg_s), int(stream.interpolation == "minimum_jerk"),
+    )  # fmt: skip
 
 
 def _count_target(state: State, row: int, text: str = "") -> tuple[Event, ...]:

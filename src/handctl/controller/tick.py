@@ -1,6 +1,9 @@
 """One tick of the controller as a pure function from received frames to frames to send.
 
-``TickIn`` contains all inputs, so that a logged tick can be executed again.
+``TickIn`` contains all inputs, so that a logged tick can be executed again. The loop calls the three
+steps of a tick one by one: ``begin`` processes the received frames, ``command`` turns requests and
+goals into frames, ``conclude`` completes the output. In this way the loop reads requests and streamed
+targets as late as possible, and sends the commands as early as possible. ``tick`` is all three.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -54,6 +57,7 @@ from handctl.safety.judge import (
 )
 from handctl.safety.limits import Limits
 
+NO_FRAMES = frames_as_records(())
 NO_REQUESTS: tuple[modes.OperatorRequests, tuple[Event, ...]] = modes.OperatorRequests(), ()
 ACTIVE = Mode.ACTIVE
 CUT = Mode.CUT
@@ -174,38 +178,57 @@ class Controller:
         Raises:
             ValueError: a command cannot be encoded. The command is not sent.
         """
-        gains = before.decisions.gains
-        if gains is None or gains is self.model.gains:
-            return self._tick(before, entry)
-        return self.designs.controller(self, gains)._tick(before, entry)
+        step = self.begin(before, entry)
+        step.command(entry.requests)
+        return step.conclude()
 
-    def _tick(self, before: State, entry: TickIn) -> tuple[State, TickOut]:
+    def begin(self, before: State, entry: TickIn) -> "OpenTick":
+        """Process the received frames, and correct and predict the filter.
+
+        Args:
+            before: state after the previous tick.
+            entry: inputs of the tick. Its requests are ignored.
+        """
+        gains = before.decisions.gains
+        unchanged = gains is None or gains is self.model.gains
+        controller = self if unchanged or gains is None else self.designs.controller(self, gains)
         state = before.copy()
-        frames = frames_as_records(entry.frames)
-        signs = self._take_in(before, state, entry, frames)
+        signs = controller._take_in(before, state, entry, frames_as_records(entry.frames))
+        return OpenTick(controller, before, state, entry, signs)
+
+    def _command(self, step: "OpenTick", requests: tuple[str, ...]) -> None:
+        """Apply requests, judge, decide, and compute the frames to send, see ``OpenTick.command``."""
+        before, state, entry = step.before, step.state, step.entry
         operator, request_events = NO_REQUESTS
-        if entry.requests:
-            operator, request_events = apply_requests(self.model, self.program, state, entry.requests)
+        if requests:
+            operator, request_events = apply_requests(self.model, self.program, state, requests)
         events = (
             consistency_events(self.model, before, state) + request_events if state.whole(s.CHANGED) else request_events
         )
         self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
             events += expire_lease(self.model, state)
-        action, findings = self._judge(before, state, entry, signs)
+        action, findings = self._judge(before, state, entry, step.signs)
         t = entry.t_ns / 1e9
-        mode_events = modes.next_mode(self.model, self.drives, state, action, operator, signs, t, self.identities)
+        mode_events = modes.next_mode(self.model, self.drives, state, action, operator, step.signs, t, self.identities)
         program_events = self._advance_program(state, action)
         self._write_progress(state, before)
-        unchanged = state.copy() if state.decisions.pending else None
+        step.unchanged = state.copy() if state.decisions.pending else None
         self._compute_torques(state, action, entry.k - before.k)
-        sent = self._encode(state, entry.t_ns)
-        retuned = self._retune(unchanged, state, action, entry.k - before.k) if unchanged else ()
+        step.sent = self._encode(state, entry.t_ns)
+        step.action = action
+        step.events = events + tuple(map(_fault_event, findings)) + mode_events + program_events
+
+    def _conclude(self, step: "OpenTick") -> tuple[State, TickOut]:
+        """Design pending gains, and complete state and output, see ``OpenTick.conclude``."""
+        state = step.state
+        if step.unchanged:
+            step.events += self._retune(step.unchanged, state, step.action, step.entry.k - step.before.k)
         stages.store_commands(state.block, self.layout.places, *self._constants)
-        events += tuple(map(_fault_event, findings)) + mode_events + program_events + retuned
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
-        return state, TickOut(sent, mode, phase, action, self.gather(state.block), events, state.digest())
+        out = TickOut(step.sent, mode, phase, step.action, self.gather(state.block), step.events, state.digest())
+        return state, out
 
     # receive, estimate
 
@@ -496,6 +519,49 @@ class Controller:
             first += 1
         rest = Frames.of_rows(out[pending_row:count])
         return join_frames([*parts, rest]) if parts else rest
+
+
+@dataclass(slots=True)
+class OpenTick:
+    """A tick between its steps.
+
+    Attributes:
+        controller: controller with the gains of the tick.
+        before: state after the previous tick.
+        state: state of the tick, modified by each step.
+        entry: inputs of the tick, without requests.
+        signs: signs of a second controller.
+        sent: frames to send, from ``command``.
+        action: reaction demanded by safety, from ``command``.
+        events: events of the tick so far.
+        unchanged: state before the motor torques were computed, if other gains are pending.
+    """
+
+    controller: Controller
+    before: State
+    state: State
+    entry: TickIn
+    signs: tuple[str, ...]
+    sent: Frames = NO_FRAMES
+    action: Action = Action.PASS
+    events: tuple[Event, ...] = ()
+    unchanged: State | None = None
+
+    def command(self, requests: tuple[str, ...]) -> Frames:
+        """Apply requests, and return the frames to send.
+
+        Args:
+            requests: requests of operators and programs, JSON texts in order.
+
+        Raises:
+            ValueError: a command cannot be encoded. The command is not sent.
+        """
+        self.controller._command(self, requests)
+        return self.sent
+
+    def conclude(self) -> tuple[State, TickOut]:
+        """Return the state after the tick and the output of the tick."""
+        return self.controller._conclude(self)
 
 
 def send_torque_only(state: State, n: int) -> None:

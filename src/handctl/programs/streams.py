@@ -106,11 +106,13 @@ class Mapping(NamedTuple):
         matrix: (C, V) coordinates [rad] per value [deg].
         driven: (C,) True where the stream sets the coordinate.
         digits: indices of the digits with such a coordinate.
+        held: indices of those digits whose tendons cannot hold every posture, see ``holdable``.
     """
 
     matrix: Vector
     driven: NDArray[np.bool_]
     digits: tuple[int, ...]
+    held: tuple[int, ...]
 
 
 @functools.lru_cache(maxsize=16)
@@ -135,7 +137,8 @@ def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
             values[places, columns] = np.linalg.pinv(digit.coupling[given])
             digits.append(d)
     driven = np.abs(values).max(axis=1) > 1e-12
-    return Mapping(np.radians(values), driven, tuple(digits))
+    held = tuple([d for d in digits if _is_held_by_each_tendon(model.digits[d])])
+    return Mapping(np.radians(values), driven, tuple(digits), held)
 
 
 def unsuitable(model: HandModel, request: OpenStream) -> str:
@@ -192,10 +195,7 @@ def holdable(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
         coordinates: (n_c,) target [rad].
         floor: (n_t,) smallest tensions [N].
     """
-    tendons, count = digit.reduced_moment_arms.shape
-    if (
-        tendons != count or count == 1
-    ):  # the tensions are not determined by the posture, or rise with the angle
+    if not _is_held_by_each_tendon(digit):
         return coordinates
     angles = coordinates.copy()
     for _ in range(HELD_STEPS):
@@ -208,6 +208,12 @@ def holdable(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
             break
         angles += np.linalg.pinv(slope[short]) @ missing[short]
     return angles
+
+
+def _is_held_by_each_tendon(digit: DigitModel) -> bool:
+    """Return True for a digit whose posture determines the tensions, and not all of them rise with the angles."""
+    tendons, count = digit.reduced_moment_arms.shape
+    return bool(tendons == count and count > 1)
 
 
 def digits_of(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
@@ -364,40 +370,6 @@ def continued(
         if inside or blend <= SHORTEST_BLEND_S:
             return move
         blend = max(0.5 * blend, SHORTEST_BLEND_S)
-
-
-def segment(
-    start: Vector, target: Vector, speed: Vector, duration: float, minimum_jerk: bool
-) -> Vector:
-    """Return the polynomials (6, C) of a motion to a target, lowest power first [rad, s].
-
-    The motion of minimum jerk begins with the position, rate and acceleration of the reference and
-    ends at the target with its speed. The acceleration at the end is free, so the jerk ends at 0:
-    it is b u + c u^2 of the time u that is left. The linear motion has a constant rate.
-
-    Args:
-        start: (3, C) position, rate and acceleration at the start.
-        target: (C,) position at the end.
-        speed: (C,) rate at the end of the motion of minimum jerk.
-        duration: duration of the motion [s].
-        minimum_jerk: motion of minimum jerk instead of a linear one.
-    """
-    position, rate, acceleration = start
-    powers = np.zeros((6, len(position)))
-    T = duration
-    powers[0] = position
-    if not minimum_jerk:
-        powers[1] = (target - position) / T
-        return powers
-    missing = target - position - T * rate - 0.5 * T * T * acceleration
-    slower = speed - rate - T * acceleration
-    b = 480.0 * (slower * T / 10.0 - missing / 4.0) / T**4
-    c = 480.0 * (missing / 3.0 - slower * T / 8.0) / T**5
-    powers[1], powers[2] = rate, 0.5 * acceleration
-    powers[3] = (b * T + c * T * T) / 6.0
-    powers[4] = -(b + 2.0 * c * T) / 24.0
-    powers[5] = c / 60.0
-    return powers
 
 
 def is_plausible(stream: StreamPlan, values: tuple[float, ...]) -> bool:

@@ -1,4 +1,4 @@
-"""The fixed-rate loop: wait, drain, tick, send, record.
+"""The fixed-rate loop: wait, drain, begin the tick, read requests, send, conclude the tick, record.
 
 The same loop runs in real time and in lockstep.
 
@@ -27,9 +27,20 @@ from handctl.runtime.clocks.real import Clock
 from handctl.runtime.mailbox import CUT, STOP
 
 S = TypeVar("S")
+T = TypeVar("T", covariant=True)
 
-Tick = Callable[[S, TickIn], tuple[S, TickOut]]
-"""Type of the pure function that computes one tick."""
+
+class OpenTick(Protocol[T]):
+    """Methods of a begun tick that the loop needs, see ``controller.tick.OpenTick``."""
+
+    def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
+        """Apply requests, and return the frames to send."""
+        ...
+
+    def conclude(self) -> tuple[T, TickOut]:
+        """Return the state after the tick and the output of the tick."""
+        ...
+
 
 
 CUT_TRIES = 20
@@ -125,7 +136,7 @@ def _no_snapshot(entry: TickIn, state: object) -> None:
     """Ignore the state: no snapshot is recorded."""
 
 
-def _no_observer(entry: TickIn, out: TickOut, state: object) -> None:
+def _no_observer(entry: TickIn, out: TickOut, state: object, sent_ns: int) -> None:
     """Ignore the state: no program observes the hand."""
 
 
@@ -137,15 +148,16 @@ class Loop(Generic[S]):
         clock: clock in real time or in lockstep.
         period_ns: control period [ns].
         buses: buses in the order of the hand file. A single object may serve all of them.
-        tick: pure function of one tick.
+        begin: function that begins a tick with the received frames, from the last state. Requests are
+            read after it, so that a streamed target waits as briefly as possible.
         cut: frames that remove the torque, built before the run.
         requests: function that returns the requests of operators and programs since the last call.
         host_events: function that returns the events of recorder and host since the last call.
         record: function that gives one tick to the recorder.
         keep: function that gives the state after a tick to the recorder, at intervals.
         show: function that displays the state of a tick, at intervals.
-        observe: function that gives the state after a tick to observing programs, right after the
-            commands were sent.
+        observe: function that gives the state after a tick to observing programs, with the time at
+            which the commands were sent [ns of CLOCK_MONOTONIC].
         let_go: function that commands all drives to disable, from the last state, the time [ns] and
             the frames received since then. Returns the next state, frames to send, and the drives
             without a report of off.
@@ -156,14 +168,14 @@ class Loop(Generic[S]):
     clock: Clock
     period_ns: int
     buses: Sequence[LoopBus]
-    tick: Tick[S]
+    begin: Callable[[S, TickIn], OpenTick[S]]
     cut: Sequence[Frame]
     requests: Callable[[], tuple[str, ...]]
     host_events: Callable[[], list[IoEvent]]
     record: Callable[[TickIn, TickOut], None]
     show: Callable[[TickIn, TickOut], None]
     keep: Callable[[TickIn, S], None] = _no_snapshot
-    observe: Callable[[TickIn, TickOut, S], None] = _no_observer
+    observe: Callable[[TickIn, TickOut, S, int], None] = _no_observer
     let_go: Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None = None
     urgent: Callable[[], AbstractContextManager[object]] = nullcontext
     stats: LoopStats = field(default_factory=LoopStats)
@@ -255,7 +267,9 @@ class Loop(Generic[S]):
 
         Objects and imports of the first use would otherwise delay the first real tick.
         """
-        self.tick(state, TickIn(0, 0))
+        tick = self.begin(state, TickIn(0, 0))
+        tick.command(())
+        tick.conclude()
 
     def _run(self, last: list[S]) -> S:
         """Run ticks from the last state to the end.
@@ -270,9 +284,13 @@ class Loop(Generic[S]):
             skipped = late // self.period_ns  # a missed deadline is skipped, never caught up
             k += skipped
             entry = self._collect(k, late - skipped * self.period_ns)
-            last[0], out = self.tick(last[0], entry)
-            self._send(out.frames)
-            self.observe(entry, out, last[0])
+            tick = self.begin(last[0], entry)
+            if requests := self.requests():
+                entry = entry._replace(requests=requests)
+            self._send(tick.command(requests))
+            sent_ns = time.monotonic_ns()
+            last[0], out = tick.conclude()
+            self.observe(entry, out, last[0], sent_ns)
             self.record(entry, out)
             self.keep(entry, last[0])
             self._count_tick(entry, skipped, late)
@@ -282,14 +300,14 @@ class Loop(Generic[S]):
         return last[0]
 
     def _collect(self, k: int, late_ns: int) -> TickIn:
-        """Collect frames, events and requests for a tick."""
+        """Collect frames and events for a tick."""
         parts: list[Frames] = []
         events = self.host_events()
         for bus in self.buses:
             parts.append(bus.drain())
             events += [IoEvent(*event) for event in bus.take_events()]
         frames = join_frames(parts)
-        return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events), self.requests())
+        return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events))
 
     def _send(self, frames: Sequence[Frame]) -> None:
         """Send each frame on its bus, and count accepted and refused frames."""

@@ -13,7 +13,6 @@ import json
 import mmap
 import os
 import struct
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -114,8 +113,15 @@ class ObservationWriter:
         self._total = np.frombuffer(self._map, COUNTER, 1, WRITTEN_AT)
         self._ended = np.frombuffer(self._map, COUNTER, 1, ENDED_AT)
 
-    def publish(self, entry: TickIn, out: TickOut, stream: StreamStatus) -> None:
-        """Write the record of a tick."""
+    def publish(self, entry: TickIn, out: TickOut, stream: StreamStatus, sent_ns: int) -> None:
+        """Write the record of a tick.
+
+        Args:
+            entry: inputs of the tick.
+            out: output of the tick.
+            stream: state of the stream of targets.
+            sent_ns: CLOCK_MONOTONIC after the commands of the tick were sent [ns].
+        """
         numbers = out.telemetry
         assert isinstance(numbers, PackedTelemetry)
         written = self._written
@@ -123,7 +129,7 @@ class ObservationWriter:
         counter = self._counters[slot]
         counter[0] = 2 * written + 1
         _FIXED.pack_into(
-            self._map, self._ring_at + self._size * slot + 8, entry.k, entry.t_ns, entry.late_ns, time.monotonic_ns(),
+            self._map, self._ring_at + self._size * slot + 8, entry.k, entry.t_ns, entry.late_ns, sent_ns,
             out.mode, out.action, out.phase.encode()[:24], *stream,
         )  # fmt: skip
         self._numbers[slot][...] = numbers.numbers

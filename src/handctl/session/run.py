@@ -174,7 +174,9 @@ def run_live(
         show = _merge_observers(observer, _status_callback(display, mailbox, plan.rate_hz))
         request_source = _merge_requests(observer, _request_source(plan, signals, mailbox, targets))
         loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
-        loop.observe = lambda entry, out, state: observations.publish(entry, out, stream_status(state))
+        loop.observe = lambda entry, out, state, sent_ns: observations.publish(
+            entry, out, stream_status(state), sent_ns
+        )
         outcome = _run_to_end(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
         return replace(outcome, pauses=clock.pauses, paused_ns=clock.paused_ns)
 
@@ -279,7 +281,7 @@ def _build_loop(
         clock=clock,
         period_ns=plan.period_ns,
         buses=buses,
-        tick=controller.tick,
+        begin=controller.begin,
         cut=controller.cut_frames(),
         requests=requests,
         host_events=lambda: [*recorder.events(), *slept()],

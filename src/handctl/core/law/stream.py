@@ -1,8 +1,7 @@
 """Motion along streamed targets: interpolation to the latest target, then limits on speed and acceleration.
 
 A segment is a polynomial of time per coordinate. It leads from the reference at the arrival of a
-target to the target (``controller.streams`` writes it). After the end of a segment the target
-holds. Nothing is extrapolated.
+target to the target. After the end of a segment the target holds. Nothing is extrapolated.
 
 The reference follows the segment exactly as long as this needs no more than the limits allow. Beyond
 the limits it approaches the target as fast as it can meet the rate of the targets there. The range of a
@@ -13,11 +12,13 @@ follows a digit that is pushed away.
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import inner, kernel
 from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables
+from handctl.core.block import Tables, state_tables
 from handctl.core.constants import ConstantTables
+from handctl.core.schema import Block, Places
+from handctl.core.types import Vector
 
 MAX_LEAD = math.radians(8.0)
 """Largest lead of the reference over the estimated digit [rad], at the full stiffness of the gains.
@@ -28,6 +29,86 @@ MIN_STIFFNESS = 0.05
 """Smallest stiffness fraction that divides the lead: a softer digit may be pushed away further."""
 TOLERANCE = 1e-9
 """Fraction by which a number may exceed a limit, for rounding."""
+CLIP_TOLERANCE = 1e-9
+"""Smallest difference from the requested value that counts as clipping [rad, N]."""
+
+
+@kernel("block", "layout", "vector", "vector", "real", "real", "real", "real", "count")
+def begin_segments(
+    block: Block,
+    at: Places,
+    aim: Vector,
+    held: Vector,
+    since: float,
+    duration: float,
+    apart: float,
+    top: float,
+    smooth: int,
+) -> bool:
+    """Begin the motion from the present reference to a target. Return True if the target was clipped.
+
+    Args:
+        block: state, modified in place.
+        at: positions of the tables in the block.
+        aim: (C,) requested coordinates [rad].
+        held: (C,) the nearest coordinates that taut tendons can hold [rad].
+        since: start of the motion [s].
+        duration: duration of the motion [s].
+        apart: time between this target and the target before [s]. With an infinite time the motion ends at
+            rest.
+        top: largest rate at the target [rad/s].
+        smooth: 1 for a motion of minimum jerk, 0 for a linear one.
+    """
+    x = state_tables(block, at)
+    clipped = False
+    for k in range(x.coordinate.shape[1]):
+        low, high = x.coordinate[s.STREAM_RANGE, k], x.coordinate[s.STREAM_RANGE + 1, k]
+        target = min(max(held[k], low), high)
+        clipped |= abs(target - aim[k]) > CLIP_TOLERANCE
+        rate = min(max((target - x.coordinate[s.STREAM_TARGET, k]) / apart, -top), top)
+        _write_segment(x, k, target, rate, duration, smooth == 1)
+        x.coordinate[s.STREAM_TARGET_RATE, k] = rate
+        x.coordinate[s.STREAM_TARGET, k] = target
+    x.run[s.STREAM_SINCE] = since
+    x.run[s.STREAM_DURATION] = duration
+    return clipped
+
+
+@inner
+def _write_segment(x: Tables, k: int, target: float, speed: float, duration: float, smooth: bool) -> None:
+    """Write the polynomial of a coordinate's motion to a target, lowest power first [rad, s].
+
+    The motion of minimum jerk begins with the position, rate and acceleration of the reference and
+    ends at the target with its speed. The acceleration at the end is free, so the jerk ends at 0:
+    it is b u + c u^2 of the time u that is left. The linear motion has a constant rate.
+
+    Args:
+        x: state tables.
+        k: index of the coordinate.
+        target: position at the end [rad].
+        speed: rate at the end of a motion of minimum jerk [rad/s].
+        duration: duration T of the motion [s].
+        smooth: motion of minimum jerk instead of a linear one.
+    """
+    position = x.coordinate[s.TRAJECTORY, k]
+    rate = x.coordinate[s.TRAJECTORY + 1, k]
+    acceleration = x.coordinate[s.TRAJECTORY + 2, k]
+    for power in range(6):
+        x.coordinate[s.STREAM_SEGMENT + power, k] = 0.0
+    x.coordinate[s.STREAM_SEGMENT, k] = position
+    if not smooth:
+        x.coordinate[s.STREAM_SEGMENT + 1, k] = (target - position) / duration
+        return
+    squared = duration * duration
+    missing = target - position - duration * rate - 0.5 * squared * acceleration
+    slower = speed - rate - duration * acceleration
+    b = 480.0 * (slower * duration / 10.0 - missing / 4.0) / (squared * squared)
+    c = 480.0 * (missing / 3.0 - slower * duration / 8.0) / (squared * squared * duration)
+    x.coordinate[s.STREAM_SEGMENT + 1, k] = rate
+    x.coordinate[s.STREAM_SEGMENT + 2, k] = 0.5 * acceleration
+    x.coordinate[s.STREAM_SEGMENT + 3, k] = (b * duration + c * squared) / 6.0
+    x.coordinate[s.STREAM_SEGMENT + 4, k] = -(b + 2.0 * c * duration) / 24.0
+    x.coordinate[s.STREAM_SEGMENT + 5, k] = c / 60.0
 
 
 @inner
