@@ -39,10 +39,10 @@ def test_only_a_fault_has_a_remedy(capfd) -> None:
     try:
         fault = next(fault for fault in BY_ID.values() if fault.remedy)
         text = f"{fault.id} {fault.title}"
-        assert display._advised(Event("info", "mode", "", text)) == text
-        assert display._advised(Event("error", "fault", "", text)).endswith(f"what to do: {fault.remedy}")
-        assert display._advised(Event("error", "fault", "", text)) == text
-        assert display._advised(Event("info", "gain", "motion.force_N", "26.0")) == "motion.force_N = 26.0"
+        assert display._event_text(Event("info", "mode", "", text)) == text
+        assert display._event_text(Event("error", "fault", "", text)).endswith(f"what to do: {fault.remedy}")
+        assert display._event_text(Event("error", "fault", "", text)) == text
+        assert display._event_text(Event("info", "gain", "motion.force_N", "26.0")) == "motion.force_N = 26.0"
     finally:
         display.close()
 

@@ -50,7 +50,7 @@ def test_a_limit_stops_a_drive_in_another_process(capsys):
         assert main([*WORDS, *words]) == 1
     out = capsys.readouterr()
     assert "expected at most 0.5" in out.err
-    assert "off, by its own report" in out.out
+    assert "off, as reported by the drive" in out.out
 
 
 @pytest.mark.parametrize(

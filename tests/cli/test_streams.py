@@ -10,8 +10,8 @@ from contextlib import closing
 
 import pytest
 
-from handctl.cli.console.ended import Terminated, terminate_on_signals
 from handctl.cli.console.screen import rich_console
+from handctl.cli.console.termination import Terminated, terminate_on_signals
 from handctl.cli.main import main
 from handctl.paper.bench.pool import worker_pool
 from handctl.tune.search.workers import ProcessPool

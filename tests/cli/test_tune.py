@@ -13,7 +13,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.cli.tuning.arguments import identify
-from handctl.cli.tuning.tune_verify import _print
+from handctl.cli.tuning.tune_verify import _print_rounds
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
@@ -128,7 +128,9 @@ def test_units_in_brackets_are_no_markup(fake_search, capsys):
     said = capsys.readouterr().out
     assert "[deg rms]" in said
     assert "[bold].study" in said
-    _print({"judged_by": "truth", "returned": None, "verified": True, "failure": "", "log": "l", "picture": "p"}, (), A)
+    _print_rounds(
+        {"judged_by": "truth", "returned": None, "verified": True, "failure": "", "log": "l", "picture": "p"}, (), A
+    )
     assert "[deg]" in capsys.readouterr().out
 
 
@@ -193,7 +195,7 @@ def _identifies(monkeypatch, made, found):
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: found)
-    monkeypatch.setattr("handctl.cli.tuning.identify._pictures", lambda *words: [])
+    monkeypatch.setattr("handctl.cli.tuning.identify._draw_pictures", lambda *words: [])
     monkeypatch.setattr("handctl.cli.tuning.identify.result_table", lambda tendons: [])
 
 

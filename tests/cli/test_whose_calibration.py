@@ -30,10 +30,10 @@ class Bench:
     def __init__(self, place, hand, serials=()):
         import argparse
 
-        from handctl.cli.console.options import run_options
+        from handctl.cli.console.options import add_run_options
 
         parser = argparse.ArgumentParser()
-        run_options(parser, bus_required=False)
+        add_run_options(parser, bus_required=False)
         self.args = parser.parse_args(["--hand", str(hand), "--json"])
         self.plan, self.place = make_plan(self.args, lockstep=True), place
         self.peer = load_peer(SIMULATED_HAND, hand_path=str(hand), period_ns=self.plan.period_ns, serials=serials)

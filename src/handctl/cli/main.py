@@ -18,8 +18,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any, NamedTuple
 
-from handctl.cli.console.ended import Terminated, install_excepthook, terminate_on_signals
 from handctl.cli.console.streams import discard_output, flush_stdout, open_standard_streams
+from handctl.cli.console.termination import Terminated, install_excepthook, terminate_on_signals
 from handctl.cli.console.verbosity import is_verbose, print_detail, use_verbosity
 from handctl.cli.parsing.completion import is_completing, print_completions
 from handctl.cli.parsing.needs import optional_packages
@@ -70,8 +70,8 @@ GROUPS = {
             "config": "show or check a hand and its files",
             "bus": "plan the load of the buses of a hand, check buses, or watch the readings on them",
             "scan": "find the drives on a bus without motion",
-            "conformance": "check the contract of one drive on the drive itself",
-            "doctor": "check this machine: priority, buses, viewer, space",
+            "conformance": "check that a real drive behaves as handctl requires",
+            "doctor": "check this machine: priority, buses, viewer, disk space",
         },
     ),
     "tuning": Group(
@@ -85,7 +85,7 @@ GROUPS = {
     "studies": Group(
         "inject faults, reproduce the paper",
         {
-            "fault": "inject faults into a simulated hand, or try the whole fault matrix",
+            "fault": "inject single faults into a simulated hand, or run the whole fault campaign",
             "paper": "reproduce the source paper and list its errors",
         },
     ),
@@ -96,7 +96,7 @@ VERBS = {name: text for group in GROUPS.values() for name, text in group.verbs.i
 FOLDERS = {folder: tuple(group.verbs) for folder, group in GROUPS.items()}
 """Verbs by the folder of their modules."""
 RECORDING_VERBS = ("run", "commission", "demo")
-"""Verbs that record a run, unless they are dry."""
+"""Verbs that record a run, unless ``--dry-run`` is given."""
 VERBOSITY_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}
 """Options that are also allowed before the verb."""
 
@@ -110,7 +110,7 @@ completion in a shell:
 example:
   handctl demo --lockstep"""
 
-WRONG_NAME = {
+FILE_NAME_ERRORS = {
     errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENOTEMPTY, errno.ENAMETOOLONG, errno.ELOOP,
 }  # fmt: skip
 """Error numbers caused by a wrong file name from the user.
@@ -127,19 +127,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
         if is_completing():
-            print_completions(whole_parser())
+            print_completions(parser_of_all_verbs())
         install_excepthook()
     open_standard_streams()
     with escaped_streams():
-        return _exit_code(words)
+        return _run_and_report_errors(words)
 
 
-def _exit_code(words: list[str]) -> int:
-    """Run a command line, and return its exit code. Errors are printed."""
+def _run_and_report_errors(words: list[str]) -> int:
+    """Run a command line, print its error, and return its exit code."""
     try:
         with terminate_on_signals():
             check_words(words)
-            code = _run(words)
+            code = _run_command_line(words)
             flush_stdout()
             return code
     except IncomparableError as error:
@@ -159,15 +159,15 @@ def _exit_code(words: list[str]) -> int:
         nameless = "the working folder: " if error.errno == errno.ENOENT else ""  # the folder was deleted
         where = f"{error.filename}: " if error.filename else nameless
         text = f"{where}{error.strerror or error}"
-        return _report_error(text, ExitCode.BAD_INPUT if error.errno in WRONG_NAME else ExitCode.FAILED)
+        return _report_error(text, ExitCode.BAD_INPUT if error.errno in FILE_NAME_ERRORS else ExitCode.FAILED)
     except Terminated as error:
         return _report_error(str(error) or "ended by a signal", ExitCode.TERMINATED)
     except KeyboardInterrupt as error:
         return _report_error(str(error) or "interrupted", ExitCode.INTERRUPTED)
 
 
-def _run(words: list[str]) -> int:
-    """Run a command line, and return its exit code. Errors are raised."""
+def _run_command_line(words: list[str]) -> int:
+    """Run a command line, and return its exit code. Errors are raised as exceptions."""
     while words[1:] and words[0] in VERBOSITY_OPTIONS and words[1] in VERBS.keys() | VERBOSITY_OPTIONS:
         words = [words[1], words[0], *words[2:]] if words[1] in VERBS else words[1:]
     if words and words[0] in VERBS:
@@ -225,7 +225,7 @@ def verb_parser(name: str) -> Parser:
     return parser
 
 
-def whole_parser() -> Parser:
+def parser_of_all_verbs() -> Parser:
     """Return one parser for all verbs, for shell completion."""
     parser = Parser(prog="handctl")
     parser.add_argument("--version", action="store_true")
@@ -245,7 +245,7 @@ def _run_verb(name: str, words: list[str]) -> int:
             options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
             print_detail(f"handctl {_version_text()} {name}: {options}")
         try:
-            with _recorder_ahead() if name in RECORDING_VERBS and not args.dry_run else nullcontext():
+            with _start_recorder_early() if name in RECORDING_VERBS and not args.dry_run else nullcontext():
                 code: int = _import_verb(name).run(args)
         except ModuleNotFoundError as error:
             if (missing := missing_extra(name, error)) is None:
@@ -255,8 +255,8 @@ def _run_verb(name: str, words: list[str]) -> int:
     return code
 
 
-def _recorder_ahead() -> AbstractContextManager[None]:
-    """Start the process that will record, so that it imports while this process does."""
+def _start_recorder_early() -> AbstractContextManager[None]:
+    """Start the recorder process early, so that its imports run at the same time as the imports of this process."""
     from handctl.log.write.child import process_ahead  # a verb without a run needs no subprocess
 
     return process_ahead()
@@ -267,13 +267,16 @@ def _import_verb(name: str) -> Any:
     module = f"handctl.cli.{_folder_of(name)}.{name}"
     if module in sys.modules:
         return sys.modules[module]
-    with _without_collections():
+    with _pause_garbage_collection():
         return importlib.import_module(module)
 
 
 @contextmanager
-def _without_collections() -> Iterator[None]:
-    """Collect no garbage during imports. They make many objects that stay, which later collections pass over."""
+def _pause_garbage_collection() -> Iterator[None]:
+    """Disable garbage collection during imports.
+
+    Imports create many permanent objects. ``gc.freeze`` excludes these objects from later collections.
+    """
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -7,13 +7,13 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import (
-    bitrate_options,
-    bus_option,
-    gains_options,
-    hand_option,
-    json_option,
-    output_option,
-    time_scale_option,
+    add_bitrate_options,
+    add_bus_option,
+    add_gains_options,
+    add_hand_option,
+    add_json_option,
+    add_output_option,
+    add_time_scale_option,
 )
 from handctl.cli.parsing.completion import hand_names
 from handctl.cli.parsing.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
@@ -50,16 +50,16 @@ def config(parser: Parser) -> None:
 
     def kind(name: str, text: str) -> Parser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
-        json_option(one)
+        add_json_option(one)
         if name not in ("init", "list", "schema", "convert"):
-            hand_option(one)
+            add_hand_option(one)
         return one
 
     _declare_init(kind("init", "write a new hand file from a few answers, or from a robot description"))
     show = kind("show", "show a hand, and the source of each value")
     text = "draw digits, tendons, spools, sensors and buses instead: as text, or as a picture with --output"
     show.add_argument("--graph", action="store_true", help=text)
-    output_option(show, "picture of --graph: a new .svg, .png or .pdf")
+    add_output_option(show, "picture of --graph: a new .svg, .png or .pdf")
     _declare_files(show)
     check = kind("check", "check a hand with its files")
     _declare_files(check)
@@ -67,21 +67,21 @@ def config(parser: Parser) -> None:
     check.add_argument("--scene", metavar="NAME|FILE", help=text)
     kind("list", "list the packaged hands and tasks")
     schema = kind("schema", "print the JSON Schema of hand files, for completion in an editor")
-    output_option(schema, "a new file (default: standard output)")
+    add_output_option(schema, "a new file (default: standard output)")
     convert = kind("convert", "write a hand file of schema 1 as schema 2: repeated values once, comments kept")
     convert.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
-    output_option(convert, "a new file", required=True)
+    add_output_option(convert, "a new file", required=True)
     export = kind("export", "write the buses or the links of a hand for other tools")
     form = export.add_mutually_exclusive_group()
     form.add_argument("--dbc", action="store_true", help="the frames of each bus, as a CAN database")
     form.add_argument("--urdf", action="store_true", help="links and joints, for ROS and pinocchio")
     form.add_argument("--mjcf", action="store_true", help="links, joints, springs and tendons, for MuJoCo")
-    output_option(export, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
+    add_output_option(export, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
 
 
 def _declare_init(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``config init``. Each option answers a question about the new hand."""
-    output_option(parser, "a new hand file", required=True)
+    add_output_option(parser, "a new hand file", required=True)
     source = parser.add_mutually_exclusive_group()
     text = "take links, joints and inertia from {}; questions ask for the tendons, or the file marks them as 'TODO'"
     source.add_argument("--urdf", type=Path, metavar="FILE", help=text.format("a robot description"))
@@ -91,7 +91,7 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
     add("--name", help="name of the hand (default: mine)")
     add("--fingers", type=int, metavar="N", help="digits on one side (default: 2)")
     add("--opposed", type=int, metavar="N", help="digits on the other side, which close against them (default: 1)")
-    add("--links", type=_lengths, dest="links_mm", metavar="MM,MM", help="length of each link (default: 40,30)")
+    add("--links", type=_parse_lengths, dest="links_mm", metavar="MM,MM", help="length of each link (default: 40,30)")
     add("--width", type=float, dest="width_mm", metavar="MM", help="width of the links (default: 12)")
     text = "distance between the two sides (default: computed from the links)"
     add("--palm", type=float, dest="palm_mm", metavar="MM", help=text)
@@ -109,7 +109,7 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
     add("--first-node", type=int, metavar="N", help=f"{text}node number of the first drive of a bus (default: 'TODO')")
 
 
-def _lengths(text: str) -> tuple[float, ...]:
+def _parse_lengths(text: str) -> tuple[float, ...]:
     """Return the lengths [mm] in a list such as ``40,30``."""
     return tuple(float(part) for part in text.split(","))
 
@@ -117,7 +117,7 @@ def _lengths(text: str) -> tuple[float, ...]:
 def _declare_files(parser: argparse.ArgumentParser) -> None:
     """Declare the options for the files of a hand."""
     parser.add_argument("--task", type=Path, metavar="FILE", help="task file to check with the hand")
-    gains_options(parser)
+    add_gains_options(parser)
     text = "calibration file to check (default: HAND.calibration.toml)"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
 
@@ -137,27 +137,29 @@ def bus(parser: Parser) -> None:
     for one, default in defaults:
         named = one.add_argument("--hand", metavar="NAME|FILE", help=f"packaged hand or file (default: {default})")
         named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
-        bus_option(one, required=False)
-        json_option(one)
+        add_bus_option(one, required=False)
+        add_json_option(one)
     text = "control rate (default: the highest at which no bus is overloaded)"
     plan.add_argument("--rate", type=float, metavar="HZ", help=text)
     plan.add_argument("--table", action="store_true", help="compare the protocols, without a hand")
     for one in (doctor, up):
-        bitrate_options(one, "without a hand: bit rate of the bus", "without a hand: bit rate of CAN FD's data phase")
+        add_bitrate_options(
+            one, "without a hand: bit rate of the bus", "without a hand: bit rate of CAN FD's data phase"
+        )
     up.add_argument("--yes", action="store_true", help="run the commands now; needs root")
     text = "end after this time (default: Ctrl-C)"
     watch.add_argument("--for", dest="duration", type=float, metavar="S", help=text)
-    time_scale_option(watch)
+    add_time_scale_option(watch)
 
 
 def scan(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``scan``."""
-    bus_option(parser)
-    json_option(parser)
+    add_bus_option(parser)
+    add_json_option(parser)
     parser.add_argument("--dry-run", action="store_true", help="print every frame that may be sent, open no bus")
     text = "send requests even if another host seems to control the bus"
     parser.add_argument("--force", action="store_true", help=text)
-    bitrate_options(parser, "bit rate of the buses", "bit rate of CAN FD's data phase, for the printed fragment")
+    add_bitrate_options(parser, "bit rate of the buses", "bit rate of CAN FD's data phase, for the printed fragment")
 
 
 def conformance(parser: argparse.ArgumentParser) -> None:
@@ -171,11 +173,11 @@ def conformance(parser: argparse.ArgumentParser) -> None:
     add("--yes", action="store_true", help="confirm that the shaft may turn: hands and cables are away from it")
     text = "option of the drive, as in [motor.options] of a hand file; may be repeated"
     add("--option", action="append", default=[], metavar="KEY=VALUE", help=text)
-    bitrate_options(parser, "bit rate of the bus", "bit rate of CAN FD's data phase")
-    json_option(parser)
+    add_bitrate_options(parser, "bit rate of the bus", "bit rate of CAN FD's data phase")
+    add_json_option(parser)
     parser.add_argument("--dry-run", action="store_true", help="print what would be checked, open no bus")
 
 
 def doctor(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``doctor``."""
-    json_option(parser)
+    add_json_option(parser)

@@ -33,7 +33,7 @@ from handctl.session.exit_codes import ExitCode
 NO_USB = Adapter()
 """Value that stands for an interface without USB adapter."""
 BUSY_HINT = "check the load of the computer and the latency timer of the adapter; handctl doctor checks the priorities"
-SLOW_S = 0.005
+SLOW_ROUND_TRIP_S = 0.005
 """Largest acceptable median round-trip time [s], equal to the period of 200 Hz."""
 
 
@@ -122,7 +122,7 @@ def _check_nodes(
     ]
     rows += [
         LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWO_DRIVES_WARNING)
-        for node in _nodes_with_twins(result, trips)
+        for node in _duplicate_nodes(result, trips)
     ]
     if result.foreign:
         what = "another host controls this bus: nodes were not queried"
@@ -136,7 +136,7 @@ def _check_nodes(
     return rows, trips
 
 
-def _nodes_with_twins(result: Scan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
+def _duplicate_nodes(result: Scan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
     """Return the nodes whose number is used by more than one drive."""
     twice = [node for node, trip in trips if trip.twins]
     return [node for node in result.found if node.twins or node in twice]
@@ -158,7 +158,7 @@ def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
         return LinkFinding(f"{name} answered the scan, but no further request", False, WIRING)
     times = f"{trip.shortest * 1e3:.2f} / {trip.median * 1e3:.2f} / {trip.longest * 1e3:.2f} ms"
     what = f"{name} answers {trip.answers} of {trip.asked}, shortest / median / longest {times}"
-    good = trip.answers == trip.asked and trip.median < SLOW_S
+    good = trip.answers == trip.asked and trip.median < SLOW_ROUND_TRIP_S
     return LinkFinding(what, good, BUSY_HINT)
 
 

@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     rate = highest_rate_of_buses(loads) if args.rate is None else args.rate
     if not 1 <= rate <= 10_000:
         raise ConfigError(f"{rate:g}", "--rate", "1 to 10000 Hz")
-    wrong = wrong_rates(hand, bus_specs(hand, args.bus)) if args.bus else []
+    wrong = bit_rate_errors(hand, bus_specs(hand, args.bus)) if args.bus else []
     result = plan(hand, loads, rate) | {"wrong_bit_rates": wrong}
     if args.json:
         print_json(result)
@@ -52,7 +52,7 @@ def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
             "split": [] if fits else split_motors_over_buses(hand, rate)}  # fmt: skip
 
 
-def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:
+def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
     """Return one line for each interface whose bit rate differs from the hand file.
 
     Each line includes the command to correct this.

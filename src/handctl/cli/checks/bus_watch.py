@@ -38,7 +38,7 @@ MAX_WATCH_S = 86400.0
 
 def run(args: argparse.Namespace) -> int:
     """Show the readings until Ctrl-C, or for a time. Returns 1 if a drive does not reply at the end."""
-    specs, hand, time_scale = _choices(args)
+    specs, hand, time_scale = _checked_arguments(args)
     drives = make_drives(hand)
     clock = RealClock(round(1e9 / min(HIGHEST_HZ, highest_rate_of_buses(bus_loads(hand)))), time_scale)
     for spec in specs:
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         for bus in opened:
             stack.callback(bus.close)
         watch = BusWatch(drives, make_sensors(hand), opened, clock)
-        print_note(f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the watch.")
+        print_note(f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the command.")
         if foreign := watch.other_host():
             problem = f"another host controls this bus (received: {foreign})"
             raise BusError(problem, f"bus {', '.join(specs)}", "no other host")
@@ -63,13 +63,13 @@ def run(args: argparse.Namespace) -> int:
         stack.enter_context(installed_handler(ended, signal.SIGINT, signal.SIGTERM))
         stack.callback(watch.release)
         clock.start()
-        _show(args, hand, watch, ended)
+        _show_readings(args, hand, watch, ended)
     if silent := watch.silent():
         print(f"handctl: without a reply at the end: {', '.join(silent)}", file=sys.stderr)
     return ExitCode.FAILED if silent else ExitCode.DONE
 
 
-def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand, float]:
+def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand, float]:
     """Return the specification of each bus, the hand, and the time scale.
 
     Raises:
@@ -86,7 +86,7 @@ def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand, float]:
     return specs, hand, chosen_time_scale(args.time_scale, specs)
 
 
-def _show(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag) -> None:
+def _show_readings(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag) -> None:
     """Run the ticks, and show the readings at intervals and at the end."""
     begin = time.monotonic()
     end = begin + (math.inf if args.duration is None else args.duration)

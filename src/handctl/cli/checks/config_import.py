@@ -29,17 +29,17 @@ from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of
 from handctl.hand.load import inspect_content, parse_toml
 from handctl.session.model_file import read_model_file
 
-ONLY_ASKED = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
-"""Options whose answer a robot description has."""
-NODES = range(1, 128)
+OPTIONS_WITHOUT_DESCRIPTION = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
+"""Options that cannot be combined with a robot description, which contains their values."""
+NODE_NUMBERS = range(1, 128)
 """Valid node numbers."""
-ALL_OR_NONE = one_of(("all", "none"))
+READ_ALL_OR_NONE = one_of(("all", "none"))
 """Reader of an answer about all tendons or joints."""
 QUESTIONS = (
     *TENDON_QUESTIONS,
-    Question("cells", "Load cells at the tendons (all, none)", ALL_OR_NONE, "all or none"),
-    Question("encoders", "Encoders at the joints (all, none)", ALL_OR_NONE, "all or none"),
-    Question("springs", "Return springs at the joints (all, none)", ALL_OR_NONE, "all or none"),
+    Question("cells", "Load cells at the tendons (all, none)", READ_ALL_OR_NONE, "all or none"),
+    Question("encoders", "Encoders at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
+    Question("springs", "Return springs at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
     Question("protocol", f"Protocol of the drives ({', '.join(GUARDED)})", one_of(GUARDED), ", ".join(GUARDED)),
     Question("first_node", "Node number of the first drive of a bus", int, "a whole number"),
 )
@@ -49,7 +49,7 @@ QUESTIONS = (
 def run(args: argparse.Namespace) -> int:
     """Read the description, ask what it lacks, and write the hand file and its schema."""
     kind = "urdf" if args.urdf else "mjcf"
-    for option in ONLY_ASKED:
+    for option in OPTIONS_WITHOUT_DESCRIPTION:
         if getattr(args, option) is not None:
             name = option.removesuffix("_mm")
             raise ConfigError(f"given, and so is --{kind}", f"--{name}", "one of them")
@@ -57,15 +57,15 @@ def run(args: argparse.Namespace) -> int:
     tendons, unread = usable_tendons(described)
     answers = TendonAnswers(**{name: getattr(args, name) for name in ANSWERS})
     if not args.yes:
-        answers = _ask(answers, {"tendons", "pulley_mm"} if tendons else set())
-    _check(answers)
+        answers = _ask_questions(answers, {"tendons", "pulley_mm"} if tendons else set())
+    _check_answers(answers)
     traits = PROTOCOLS[answers.protocol] if answers.protocol else None
     options = options_line(answers.protocol, traits.options) if answers.protocol and traits else ""
     text = described_text(described, answers, options, traits is not None and traits.can_fd)
     mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
     missing = [mistake for mistake in mistakes if UNMEASURED in mistake.what]
     schema = write_with_schema(args.output, text)
-    warnings = [*notes, *unread, *_other(mistakes, missing, args.output)]
+    warnings = [*notes, *unread, *_unexpected_mistakes(mistakes, missing, args.output)]
     joints = sum(len(digit.joints) for digit in described.digits)
     if args.json:
         found = {"digits": len(described.digits), "joints": joints, "missing": [one.where for one in missing]}
@@ -131,7 +131,7 @@ def _mesh_of(link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes
     return replace(chosen, file=path_from(Path(chosen.file), output))
 
 
-def _ask(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
+def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
     """Ask the questions not answered by options or by the description."""
     check_terminal()
     for question in QUESTIONS:
@@ -140,7 +140,7 @@ def _ask(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
     return answers
 
 
-def _check(answers: TendonAnswers) -> None:
+def _check_answers(answers: TendonAnswers) -> None:
     """Refuse answers that make no hand file. All further limits are those of a hand file.
 
     Raises:
@@ -148,10 +148,10 @@ def _check(answers: TendonAnswers) -> None:
     """
     if answers.name is not None:
         check_name(answers.name)
-    if answers.first_node is not None and answers.first_node not in NODES:
-        raise ConfigError(f"{answers.first_node}", "--first-node", f"{NODES[0]} to {NODES[-1]}")
+    if answers.first_node is not None and answers.first_node not in NODE_NUMBERS:
+        raise ConfigError(f"{answers.first_node}", "--first-node", f"{NODE_NUMBERS[0]} to {NODE_NUMBERS[-1]}")
 
 
-def _other(mistakes: Iterable[Mistake], missing: list[Mistake], output: Path) -> list[str]:
+def _unexpected_mistakes(mistakes: Iterable[Mistake], missing: list[Mistake], output: Path) -> list[str]:
     """Return the mistakes in the new file that are no missing values, one line each."""
     return [str(mistake.error(str(output))) for mistake in mistakes if mistake not in missing]

@@ -34,9 +34,9 @@ QUESTIONS = (
     *TENDON_QUESTIONS,
 )
 """All questions, in order. A question is skipped if an option answers it."""
-ONLY_IMPORTED = ("cells", "encoders", "springs", "first_node")
+OPTIONS_WITH_DESCRIPTION = ("cells", "encoders", "springs", "first_node")
 """Options for a hand that is imported from a robot description."""
-IN_PROPORTION = {"palm_mm": "palm", "pulley_mm": "pulley"}
+PROPORTIONAL_DEFAULT = {"palm_mm": "palm", "pulley_mm": "pulley"}
 """Attribute with the default of a field in proportion to other answers."""
 
 
@@ -46,13 +46,13 @@ def run(args: argparse.Namespace) -> int:
         from handctl.cli.checks.config_import import run as from_description
 
         return from_description(args)
-    for option in ONLY_IMPORTED:
+    for option in OPTIONS_WITH_DESCRIPTION:
         if getattr(args, option) is not None:
             raise ConfigError("only for an imported hand", f"--{option.replace('_', '-')}", "--urdf or --mjcf with it")
     given = {one.name: getattr(args, one.name) for one in fields(HandAnswers)}
     answers = replace(HandAnswers(), **{name: value for name, value in given.items() if value is not None})
     if not args.yes:
-        answers = _ask(args, answers)
+        answers = _ask_questions(args, answers)
     check_answers(answers)
     traits = PROTOCOLS[answers.protocol]
     text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers, traits.options, traits.can_fd)
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _ask(args: argparse.Namespace, answers: HandAnswers) -> HandAnswers:
+def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswers:
     """Ask the questions not answered by options. An empty answer selects the default.
 
     Raises:
@@ -82,7 +82,7 @@ def _ask(args: argparse.Namespace, answers: HandAnswers) -> HandAnswers:
     for question in QUESTIONS:
         if getattr(args, question.field) is not None:
             continue
-        default = getattr(answers, IN_PROPORTION.get(question.field, question.field))
+        default = getattr(answers, PROPORTIONAL_DEFAULT.get(question.field, question.field))
         shown = ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)
         shown = f"{default:.3g}" if isinstance(default, float) else shown
         answers = replace(answers, **{question.field: answer(question, shown, default)})

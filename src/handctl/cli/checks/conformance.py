@@ -6,12 +6,12 @@ import sys
 from typing import Any
 
 from handctl.cli.console.bench import (
+    MAX_TORQUE_N_M,
     NOT_OFF_WARNING,
-    TORQUE_TOP,
     WATCHDOG_MS,
-    described_drive,
+    describe_drive,
     find_drive,
-    opened_rig,
+    open_rig,
     parse_options,
     with_torque_range,
 )
@@ -45,10 +45,10 @@ def run(args: argparse.Namespace) -> int:
     Returns 1 if a check failed, 71 if the drive does not confirm that it is disabled.
     """
     options = parse_options(args.option)
-    if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= TORQUE_TOP):
-        raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {TORQUE_TOP:g}")
+    if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= MAX_TORQUE_N_M):
+        raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {MAX_TORQUE_N_M:g}")
     check_spec(args.bus)
-    described_drive(args, options, None)
+    describe_drive(args, options, None)
     if args.dry_run:
         return _dry_run(args)
     warning = f"the shaft of {args.protocol} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
@@ -56,11 +56,11 @@ def run(args: argparse.Namespace) -> int:
     _print_error(f"{warning}. Ctrl-C switches the drive off.")
     with bus_lock(args.bus):
         node = find_drive(args)
-        drive = described_drive(args, options, node)
-        results, off = _checked(args, drive, with_torque_range(drive, node))
+        drive = describe_drive(args, options, node)
+        results, off = _run_checks(args, drive, with_torque_range(drive, node))
     failed = sum(check.verdict is CheckVerdict.FAILED for check in results)
     if args.json:
-        print_json(_plain(args, node, results, off))
+        print_json(_result_fields(args, node, results, off))
     else:
         passed = sum(check.verdict is CheckVerdict.PASSED for check in results)
         print("the drive keeps the watchdog and limits of this check until it is switched off")
@@ -81,13 +81,13 @@ def _dry_run(args: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[ConformanceCheck], bool]:
+def _run_checks(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[ConformanceCheck], bool]:
     """Run the checks, disable the drive, and restore its torque range.
 
     Returns the checks, and True if the drive is disabled.
     """
     results: list[ConformanceCheck] = []
-    with opened_rig(args, drive) as (rig, bus):
+    with open_rig(args, drive) as (rig, bus):
         try:
             for check in run_checks(DeviceUnderTest(rig, args.limit, WATCHDOG_MS / 1e3)):
                 results.append(check)
@@ -102,7 +102,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
     return results, off
 
 
-def _plain(
+def _result_fields(
     args: argparse.Namespace, node: DiscoveredNode, results: list[ConformanceCheck], off: bool
 ) -> dict[str, Any]:
     return {

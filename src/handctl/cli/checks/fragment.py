@@ -9,7 +9,7 @@ from handctl.hand.file.sections import CIA404
 Entry = tuple[str, object, str]
 """Key, value and comment of a line in TOML."""
 TO_FILL_IN = "yours: "
-TORQUE_TOP = 50.0
+MAX_TORQUE_N_M = 50.0
 """Largest torque allowed in a hand file [N m]."""
 RATED_N_M = 0.1
 ENCODER_COUNTS = 65536
@@ -63,7 +63,7 @@ def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[s
 def _motor_section(bus: str, drive: DiscoveredNode) -> list[str]:
     reported = "reported by the drive"
     settings = drive.settings
-    torque = min(settings.get("torque_max_N_m", 0.1), TORQUE_TOP)
+    torque = min(settings.get("torque_max_N_m", 0.1), MAX_TORQUE_N_M)
     entries: list[Entry] = [
         ("name", f"{bus}_{drive.protocol}_{drive.node_id}", TO_FILL_IN + "a name"),
         ("protocol", drive.protocol, ""),
@@ -100,8 +100,8 @@ def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
 
 def _torque_source(settings: Mapping[str, float]) -> str:
     reported = settings.get("torque_max_N_m", 0.0)
-    if reported > TORQUE_TOP:
-        return f"the drive reports {reported:g}, a hand file takes at most {TORQUE_TOP:g}"
+    if reported > MAX_TORQUE_N_M:
+        return f"the drive reports {reported:g}, a hand file takes at most {MAX_TORQUE_N_M:g}"
     return _source_comment("torque_max_N_m", settings, "begin small")
 
 

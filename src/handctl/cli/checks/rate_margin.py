@@ -6,14 +6,14 @@ from handctl.core.model import HandModel
 from handctl.hand.description import Hand
 
 SAFE_HZ = 250.0
-"""Control rate from which margins are not computed. All packaged hands and those of ``config init`` run at it."""
+"""Lowest control rate without this check [Hz]. All packaged hands and the hands of ``config init`` run at this rate."""
 
 
 def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """Return a warning if the gain margin of a motion loop is too small at a control rate.
 
-    The buses decide about the rate. At low rates, tensions of fingers with light links oscillate, and a run ends
-    with N14b or T03.
+    The bus load determines the control rate. At low rates, tensions of fingers with light links
+    oscillate, and a run ends with N14b or T03.
 
     Args:
         hand: description of the hand.

@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     """Scan each bus. Returns 1 if no node was found."""
     buses = named_buses(args.bus)
     if args.dry_run:
-        return _show_questions(args.json)
+        return _print_requests(args.json)
     scans: dict[str, Scan] = {}
     for name, spec in buses.items():
         opened = open_bus(spec, 0, args.bitrate)
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         finally:
             opened.close()
         if not scans[name].foreign:
-            scans[name] = scans[name]._replace(found=with_identities(scans[name].found, spec, args.bitrate))
+            scans[name] = scans[name]._replace(found=add_identities(scans[name].found, spec, args.bitrate))
     piece = hand_file_snippet({name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate)
     if args.json:
         listed = [_scan_fields(name, buses[name], result) for name, result in scans.items()]
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE if any(result.found for result in scans.values()) else ExitCode.FAILED
 
 
-def with_identities(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
+def add_identities(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
     """Return the nodes. CANopen nodes include the identity that they report over SDO."""
     canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
     if not canopen_ids:
@@ -55,13 +55,13 @@ def with_identities(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) 
     print_note(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, canopen_ids))}")
     identities = identify_nodes(spec, bitrate, canopen_ids)
     return tuple(
-        _with_identity(drive, identities[drive.node_id].numbers, identities[drive.node_id].texts)
+        _add_identity(drive, identities[drive.node_id].numbers, identities[drive.node_id].texts)
         if drive.protocol == "cia402" else drive
         for drive in nodes
     )  # fmt: skip
 
 
-def _with_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[str, str]) -> DiscoveredNode:
+def _add_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[str, str]) -> DiscoveredNode:
     power = cia402_codec.power_state(numbers["status"]) if "status" in numbers else ""
     notes = list(drive.notes)
     if not numbers.get("modes", 0) >> 9 & 1:
@@ -140,7 +140,7 @@ def _print_drive(drive: DiscoveredNode) -> None:
         print(f"                {line}")
 
 
-def _show_questions(as_json: bool) -> int:
+def _print_requests(as_json: bool) -> int:
     questions = [_frame_text(frame) for frame in requests_without_answers()]
     if as_json:
         print_json({"questions": questions})

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from handctl.cli.checks.scan import with_identities
+from handctl.cli.checks.scan import add_identities
 from handctl.cli.console.verbosity import print_note
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import LISTEN_S, DiscoveredNode
@@ -31,16 +31,16 @@ NOT_OFF_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
 """Message for a drive that may still make torque."""
 WATCHDOG_MS = 100
 """Watchdog time of the drive [ms], longer than the delays of a desktop without real-time priority."""
-TORQUE_TOP = 50.0
+MAX_TORQUE_N_M = 50.0
 """Largest torque allowed in a hand file [N m]."""
-DEFAULTS: dict[str, dict[str, Any]] = {
+BENCH_OPTIONS: dict[str, dict[str, Any]] = {
     "odrive": {"torque_feedback": True},
     "cia402": {"sync": True},
 }
 """Options for a single drive on a bench, because no other host sends SYNC there."""
 TEXT_OPTIONS = ("firmware", "motor_type")
 """Options whose value is text even if the text looks like a number, such as firmware=0.5."""
-BARE_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
+UNQUOTED_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
 """Pattern for text that needs no quotes."""
 ASSUMED_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """Defaults for options that a CiA 402 drive may not report.
@@ -69,7 +69,7 @@ def _option(word: str) -> dict[str, Any]:
     try:
         return parse_toml(word, "--option")
     except ConfigError as error:
-        if BARE_TEXT.fullmatch(value) and not value.isdecimal():  # TOML refuses numbers with too many digits
+        if UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal():  # TOML refuses numbers with too many digits
             return parse_toml(quoted, "--option")
         right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
         raise ConfigError(f"{word}: {error.what}", "--option", right) from None
@@ -80,7 +80,7 @@ def _torque_drive(motor: Motor) -> Drive:
     return make_drive(motor, 0)
 
 
-def described_drive(
+def describe_drive(
     args: argparse.Namespace,
     options: dict[str, Any],
     node: DiscoveredNode | None,
@@ -100,7 +100,7 @@ def described_drive(
     reported: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
         reported = ASSUMED_OPTIONS | reported
-    reported = _defaults(args.protocol, reported | options) | reported
+    reported = _bench_options(args.protocol, reported | options) | reported
     settings = {
         "position_range_rad": 12.5,
         "velocity_range_rad_s": 30.0,
@@ -124,12 +124,12 @@ def described_drive(
         raise ConfigError(text, toml_spelling(args.node), "a number of that protocol") from None
 
 
-def _defaults(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
+def _bench_options(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
     """Return the options for a single drive on a bench.
 
     ODrive firmware 0.5 does not report torque.
     """
-    return {} if options.get("firmware") == "0.5" else DEFAULTS.get(protocol, {})
+    return {} if options.get("firmware") == "0.5" else BENCH_OPTIONS.get(protocol, {})
 
 
 def find_drive(args: argparse.Namespace) -> DiscoveredNode:
@@ -142,12 +142,12 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
     print_note(f"{args.bus}: searching for the drive")
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
     try:
-        result = scan_bus(bus) if PROTOCOLS[args.protocol].discovery else _listened(args, bus)
+        result = scan_bus(bus) if PROTOCOLS[args.protocol].discovery else _listen_for_drive(args, bus)
     finally:
         bus.close()
     if result.foreign:
         raise BusError("another host controls this bus", args.bus, "no other host: stop it")
-    for node in with_identities(result.found, args.bus, args.bitrate):
+    for node in add_identities(result.found, args.bus, args.bitrate):
         if (node.protocol, node.node_id) == (args.protocol, args.node):
             if node.twins:
                 raise DriveError(
@@ -161,7 +161,7 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
     raise DriveError(f"no {args.protocol} {args.node}; found: {there}", args.bus, right)
 
 
-def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
+def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> Scan:
     """Return a scan result for a drive that answers only commands.
 
     A received frame with its identifier comes from another host.
@@ -186,7 +186,7 @@ def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
 
 
 @contextmanager
-def opened_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
+def open_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
     """Open the bus, and yield the drive on it, and the bus. Ticks have real-time priority where that is allowed.
 
     Args:

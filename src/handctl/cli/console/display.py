@@ -85,7 +85,9 @@ class DisplayProcess:
             "tension": [round(float(f), 2) for f in out.telemetry.tension],
             "goal": [None if f != f else round(float(f), 2) for f in out.telemetry.tension_goal],
             "contact": [bool(c) for c in out.telemetry.contact],
-            "events": [[event.level, self._advised(event)] for event in out.events if self._is_due(entry.t_ns, event)],
+            "events": [
+                [event.level, self._event_text(event)] for event in out.events if self._is_due(entry.t_ns, event)
+            ],
         }
         self.worst_late_ns = 0
         self._write_line(line)
@@ -103,7 +105,7 @@ class DisplayProcess:
             self.last_warning_ns[fault_id] = t_ns
         return news
 
-    def _advised(self, event: Event) -> str:
+    def _event_text(self, event: Event) -> str:
         """Return the text of an event.
 
         At the first event of a fault, a second line has the remedy. A changed gain is printed with its key.

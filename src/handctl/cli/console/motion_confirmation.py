@@ -43,7 +43,7 @@ def announce_motion(args: argparse.Namespace, plan: Plan, path: Path, calibratio
         print_note(f"handctl: found in this folder: {'; '.join(files)}")
     if calibration and not calibration.drive:
         text = "does not name its drives, so any hand of this design would be armed with it"
-        print_escaped(f"handctl: caution: {path} {text}; handctl commission writes one that does", error=True)
+        print_escaped(f"handctl: caution: {path} {text}; handctl commission writes a file that names them", error=True)
     if real := real_buses(plan.buses):
         joints = ", ".join(plan.hand.digit_names)
         confirm_motion(f"{plan.hand.name} on {', '.join(real)} is armed and moves {joints}", args.yes)

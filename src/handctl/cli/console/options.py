@@ -15,7 +15,7 @@ from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 
 
-class _Named(argparse.Action):
+class _StoreNamedHand(argparse.Action):
     """Argparse action that stores a hand and marks it as named by the operator."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
@@ -23,10 +23,10 @@ class _Named(argparse.Action):
         namespace.hand_named = True
 
 
-def hand_option(parser: argparse.ArgumentParser) -> None:
+def add_hand_option(parser: argparse.ArgumentParser) -> None:
     """Declare --hand: a packaged hand or a file."""
     text = f"packaged hand or file (default: {DEFAULT_HAND}; needed on a real bus)"
-    named = parser.add_argument("--hand", action=_Named, default=DEFAULT_HAND, metavar="NAME|FILE", help=text)
+    named = parser.add_argument("--hand", action=_StoreNamedHand, default=DEFAULT_HAND, metavar="NAME|FILE", help=text)
     named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
     parser.set_defaults(hand_named=False)
 
@@ -52,13 +52,13 @@ def checked_count(number: int, option: str, maximum: int) -> int:
     return number
 
 
-def protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
+def add_protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Declare --protocol: the same hand, but with drives of another protocol."""
     text = "drives of the simulated hand (default: as in its file)" + more
     parser.add_argument("--protocol", choices=GUARDED, help=text)
 
 
-def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
+def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """Declare --bus: one specification, or several NAME=SPEC for a hand on several buses."""
     parser.add_argument(
         "--bus",
@@ -69,7 +69,7 @@ def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
     )
 
 
-def bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str) -> None:
+def add_bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str) -> None:
     """Declare --bitrate and --data-bitrate, with their help texts."""
     add = parser.add_argument
     add("--bitrate", type=_bit_rate, default=1_000_000, metavar="BIT/S", help=f"{nominal} (1000000)")
@@ -84,39 +84,39 @@ def _bit_rate(word: str) -> int:
     return rate
 
 
-def json_option(parser: argparse.ArgumentParser) -> None:
+def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Declare --json: standard output contains only the result as JSON."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
 
 
-def dry_run_option(parser: argparse.ArgumentParser) -> None:
+def add_dry_run_option(parser: argparse.ArgumentParser) -> None:
     """Declare --dry-run: check all inputs without opening a bus."""
     parser.add_argument("--dry-run", action="store_true", help="check all files and the bus load, open no bus")
 
 
-def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> None:
+def add_run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> None:
     """Declare the options of the verbs that run the controller."""
-    hand_option(parser)
-    bus_option(parser, bus_required)
-    json_option(parser)
-    dry_run_option(parser)
-    clear_option(parser)
-    gains_options(parser)
+    add_hand_option(parser)
+    add_bus_option(parser, bus_required)
+    add_json_option(parser)
+    add_dry_run_option(parser)
+    add_clear_option(parser)
+    add_gains_options(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: computed from the bus load)")
     text = "calibration file (default: HAND.calibration.toml)"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
-    yes_option(parser)
-    time_scale_option(parser)
+    add_yes_option(parser)
+    add_time_scale_option(parser)
 
 
-def clear_option(parser: argparse.ArgumentParser) -> None:
+def add_clear_option(parser: argparse.ArgumentParser) -> None:
     """Declare --clear: clear latched faults of the drives before arming."""
     text = "clear latched faults of the drives before arming; find the cause first"
     parser.add_argument("--clear", action="store_true", help=text)
 
 
-def jobs_option(parser: argparse.ArgumentParser, default: int | None, text: str) -> None:
+def add_jobs_option(parser: argparse.ArgumentParser, default: int | None, text: str) -> None:
     """Declare --jobs: number of parallel processes.
 
     Args:
@@ -128,12 +128,14 @@ def jobs_option(parser: argparse.ArgumentParser, default: int | None, text: str)
     parser.add_argument("--jobs", type=int, default=default, metavar="N", help=f"{text} (default: {default_text})")
 
 
-def output_option(parser: argparse.ArgumentParser, text: str, metavar: str = "FILE", *, required: bool = False) -> None:
+def add_output_option(
+    parser: argparse.ArgumentParser, text: str, metavar: str = "FILE", *, required: bool = False
+) -> None:
     """Declare --output: file or folder of the result."""
     parser.add_argument("--output", type=Path, metavar=metavar, help=text, required=required)
 
 
-def perturb_option(parser: argparse.ArgumentParser) -> None:
+def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     """Declare --perturb: factors between parameters of the simulated hand and of its file."""
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help=text)
@@ -144,13 +146,13 @@ def perturb_words(args: argparse.Namespace) -> list[str]:
     return ["--perturb", *args.perturb] if args.perturb else []
 
 
-def yes_option(parser: argparse.ArgumentParser) -> None:
+def add_yes_option(parser: argparse.ArgumentParser) -> None:
     """Declare --yes: allow the motion without a question."""
     text = "do not ask for permission before the hand moves on a real bus"
     parser.add_argument("--yes", action="store_true", help=text)
 
 
-def time_scale_option(
+def add_time_scale_option(
     parser: argparse.ArgumentParser,
     default: float | None = None,
     default_text: str = "that of the simulator on the bus, otherwise 1",
@@ -166,7 +168,7 @@ def time_scale_option(
     parser.add_argument("--time-scale", type=float, default=default, metavar="X", help=text)
 
 
-def gains_options(parser: argparse.ArgumentParser) -> None:
+def add_gains_options(parser: argparse.ArgumentParser) -> None:
     """Declare --gains and --gain."""
     parser.add_argument(
         "--gains",
@@ -194,7 +196,7 @@ def warn_if_lossy(path: Path, warning: str) -> ExitCode:
     return ExitCode.LOSSY_LOG if warning else ExitCode.DONE
 
 
-def wire_option(parser: argparse.ArgumentParser) -> None:
+def add_wire_option(parser: argparse.ArgumentParser) -> None:
     """Declare --wire: simulated frames need the same time as on a real bus."""
     text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)

@@ -35,11 +35,11 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
     display = None if args.json or is_quiet() else _display_starter
     run_plan = replace(plan.make_plan(choice, display, print_notice), progress=progress_bar)
     if is_verbose():
-        _describe(args, run_plan)
+        _print_plan(args, run_plan)
     return run_plan
 
 
-def _describe(args: argparse.Namespace, run_plan: plan.Plan) -> None:
+def _print_plan(args: argparse.Namespace, run_plan: plan.Plan) -> None:
     """Print the details of a plan, for ``--verbose``."""
     hand = run_plan.hand
     print_detail(f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons")

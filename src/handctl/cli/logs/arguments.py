@@ -6,28 +6,30 @@ The code of a verb is imported only when the verb runs, so that the help appears
 import argparse
 from pathlib import Path
 
-from handctl.cli.console.options import jobs_option, json_option, output_option, run_options
+from handctl.cli.console.options import add_jobs_option, add_json_option, add_output_option, add_run_options
 from handctl.cli.parsing.parser import Example, Parser, add_sub_verb
 
 
-def _of_a_log(command: str) -> Example:
+def _example_with_log(command: str) -> Example:
     """Return an example that first records ``run.mcap``, unless the file exists."""
     return Example(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
 
 
 EXAMPLES = {
-    "view": _of_a_log("handctl view run.mcap --save run.rrd"),
-    "replay": _of_a_log("handctl replay execute run.mcap"),
-    "replay execute": _of_a_log("handctl replay execute run.mcap"),
-    "replay drive": _of_a_log("handctl replay drive run.mcap --hand jamia --bus local:demo --dry-run"),
-    "replay safety": _of_a_log("echo 'tension_trip_N = 60' > 60.toml; handctl replay safety run.mcap --limits 60.toml"),
-    "log": _of_a_log("handctl log info run.mcap"),
-    "log info": _of_a_log("handctl log info run.mcap"),
-    "log check": _of_a_log("handctl log check run.mcap"),
-    "log diff": _of_a_log("handctl log diff run.mcap run.mcap"),
-    "log recover": _of_a_log("handctl log recover run.mcap --output whole.mcap"),
-    "log export": _of_a_log("handctl log export run.mcap --csv"),
-    "report": _of_a_log("handctl report run.mcap"),
+    "view": _example_with_log("handctl view run.mcap --save run.rrd"),
+    "replay": _example_with_log("handctl replay execute run.mcap"),
+    "replay execute": _example_with_log("handctl replay execute run.mcap"),
+    "replay drive": _example_with_log("handctl replay drive run.mcap --hand jamia --bus local:demo --dry-run"),
+    "replay safety": _example_with_log(
+        "echo 'tension_trip_N = 60' > 60.toml; handctl replay safety run.mcap --limits 60.toml"
+    ),
+    "log": _example_with_log("handctl log info run.mcap"),
+    "log info": _example_with_log("handctl log info run.mcap"),
+    "log check": _example_with_log("handctl log check run.mcap"),
+    "log diff": _example_with_log("handctl log diff run.mcap run.mcap"),
+    "log recover": _example_with_log("handctl log recover run.mcap --output whole.mcap"),
+    "log export": _example_with_log("handctl log export run.mcap --csv"),
+    "report": _example_with_log("handctl report run.mcap"),
 }
 """Example of each verb and each sub-verb, as shown in its help text."""
 FORMATS = {
@@ -53,7 +55,7 @@ def view(parser: argparse.ArgumentParser) -> None:
     text = "file with the true state of a lockstep run, to draw its object (default: LOG.truth)"
     parser.add_argument("--truth", type=Path, metavar="FILE", help=text)
     parser.add_argument("--follow", action="store_true", help="show a log that is still being written, as it grows")
-    json_option(parser)
+    add_json_option(parser)
 
 
 def replay(parser: Parser) -> None:
@@ -73,12 +75,12 @@ def _add_kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str)
 
 
 def _declare_execute(parser: argparse.ArgumentParser) -> None:
-    json_option(parser)
+    add_json_option(parser)
     text = "compute the commands that these gains give with the inputs of the log"
     parser.add_argument("--gains", type=Path, metavar="FILE", help=text)
     text = "picture of the commands with --gains (default: LOG.gains.png)"
     parser.add_argument("--picture", type=Path, metavar="FILE", help=text)
-    jobs_option(parser, None, "number of parallel processes")
+    add_jobs_option(parser, None, "number of parallel processes")
     parser.add_argument(
         "--within",
         type=float,
@@ -88,13 +90,13 @@ def _declare_execute(parser: argparse.ArgumentParser) -> None:
 
 
 def _declare_drive(parser: argparse.ArgumentParser) -> None:
-    run_options(parser)
+    add_run_options(parser)
     text = "follow the recorded tensions, and do not correct the angles"
     parser.add_argument("--raw", action="store_true", help=text)
 
 
 def _declare_safety(parser: argparse.ArgumentParser) -> None:
-    json_option(parser)
+    add_json_option(parser)
     text = "TOML file with safety limits, e.g. tension_trip_N = 60"
     parser.add_argument("--limits", type=Path, required=True, metavar="FILE", help=text)
 
@@ -105,7 +107,7 @@ def log(parser: Parser) -> None:
 
     def kind(name: str, text: str) -> Parser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"log {name}"])
-        json_option(one)
+        add_json_option(one)
         one.add_argument("log", type=Path, help="the log")
         return one
 
@@ -113,8 +115,8 @@ def log(parser: Parser) -> None:
     kind("check", "check counters, gaps, clock, hashes, and every byte")
     other = kind("diff", "compare the log with another run of the same hand, phase by phase")
     other.add_argument("other", type=Path, help="the other log")
-    rescue = kind("recover", "write a complete log from a broken one")
-    output_option(rescue, "the complete log (default: LOG.recovered.mcap)")
+    rescue = kind("recover", "write a complete log from a damaged log")
+    add_output_option(rescue, "the complete log (default: LOG.recovered.mcap)")
     out = kind("export", "write the log in a format that other tools read")
     out.add_argument("more", type=Path, nargs="*", metavar="LOG", help="further logs of the hand, with --lerobot")
     group = out.add_mutually_exclusive_group(required=True)
@@ -131,13 +133,13 @@ def log(parser: Parser) -> None:
         "--camera-start", type=float, nargs="+", default=[0.0], metavar="SECONDS",
         help="time from the start of the run to the first video frame, for all logs or for each (default: 0)",
     )  # fmt: skip
-    output_option(out, "a new file or folder (default: LOG.FORMAT)", "FILE|DIR")
+    add_output_option(out, "a new file or folder (default: LOG.FORMAT)", "FILE|DIR")
 
 
 def report(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``report``."""
-    json_option(parser)
+    add_json_option(parser)
     parser.add_argument("log", type=Path, help="the log")
-    output_option(parser, "the page (default: LOG.html)")
+    add_output_option(parser, "the page (default: LOG.html)")
     text = "file with the true state of a lockstep run, drawn beside the estimates"
     parser.add_argument("--truth", type=Path, metavar="FILE", help=text)

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         lossy = warn_if_lossy(args.recorded, before.warning)
         if missing := count_missing_ticks(before):
             print_escaped(
-                f"handctl: caution: {args.recorded}: {missing} ticks are missing; the goals around the gap are joined",
+                f"handctl: caution: {args.recorded}: {missing} ticks are missing; the gap is bridged by interpolation",
                 error=True,
             )
         if args.dry_run:

@@ -27,11 +27,11 @@ def run(args: argparse.Namespace) -> int:
 
     with RunLog(args.recorded) as log:
         lossy = warn_if_lossy(args.recorded, log.warning)
-        passed = _other_gains(args, log) if args.gains else _execute_unchanged(args, log)
+        passed = _compare_with_other_gains(args, log) if args.gains else _execute_with_logged_gains(args, log)
     return lossy if passed else ExitCode.FAILED
 
 
-def _execute_unchanged(args: argparse.Namespace, log: Any) -> bool:
+def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     """Execute the log with its own gains. Return True if all ticks are equal or within tolerance."""
     from importlib.metadata import version
 
@@ -88,7 +88,8 @@ def _execute_unchanged(args: argparse.Namespace, log: Any) -> bool:
             )
         if not passed and not execution.undecided and args.within is None:
             print_escaped(
-                "all decisions are equal; if another machine wrote the log, --within 1e-9 tells whether that is all"
+                "all decisions are equal; if another machine wrote the log, "
+                "--within 1e-9 accepts differences by rounding"
             )
     return passed
 
@@ -107,7 +108,7 @@ def _difference_line(one: Any) -> str:
     return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
 
 
-def _other_gains(args: argparse.Namespace, log: Any) -> bool:
+def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
     """Execute the log with other gains, and draw their commands. Always returns True."""
     from handctl.core.gains.gains import load_gains
     from handctl.replay.counterfactual import Commands, command_change, draw_commands
@@ -120,7 +121,7 @@ def _other_gains(args: argparse.Namespace, log: Any) -> bool:
     with progress_bar("executing", len(log), args.json) as update_progress:
         execution = execute_log(log, gains, commands.add, update_progress)
     if not execution.ticks:
-        raise LogError("contains no tick", str(args.recorded), "a run that commanded something")
+        raise LogError("contains no tick", str(args.recorded), "a run with motor commands")
     draw_commands(
         picture,
         log,

@@ -14,7 +14,7 @@ from handctl.cli.parsing.renamed import new_spelling
 from handctl.errors import ConfigError
 from handctl.printing import LONGEST_WORD, printable_text, similar_name
 
-END_AS_VALUE = re.compile(r"(--?[^=]+)=--")
+DOUBLE_DASH_AS_VALUE = re.compile(r"(--?[^=]+)=--")
 """Pattern for an option with the value ``--``. argparse would remove this value and fail without a message."""
 INVALID_CHOICE = re.compile(r"invalid choice: '(?P<word>.*)' \(choose from (?P<choices>.*)\)", re.DOTALL)
 """Pattern for argparse's message about a word that is not an allowed choice."""
@@ -84,13 +84,13 @@ class Parser(argparse.ArgumentParser):
                 raise ConfigError(f"{word} has been renamed", self._verb_names(), new)
             # Before argparse complains about a missing argument, whose name may be the misspelt one.
             if not (self._has_sub_verbs or any(option.startswith(word) for option in self._option_string_actions)):
-                self._refuse(word)
+                self._refuse_word(word)
         parsed, rest = super().parse_known_args(args, namespace)
         if rest:
-            self._refuse(rest[0])
+            self._refuse_word(rest[0])
         return parsed, rest
 
-    def _refuse(self, word: str) -> NoReturn:
+    def _refuse_word(self, word: str) -> NoReturn:
         """Raise an error for a word that no argument accepts."""
         option = word.partition("=")[0]
         kind = "option" if word.startswith("-") else "argument"
@@ -172,5 +172,5 @@ def check_words(words: Sequence[str]) -> None:
                 what = f"a word with {name} in it: {printable_text(word)}"
                 raise ConfigError(what, "the command line", "words without it")
     for word in words:
-        if match := END_AS_VALUE.fullmatch(word):
+        if match := DOUBLE_DASH_AS_VALUE.fullmatch(word):
             raise ConfigError("-- is no value", match[1], "a value")

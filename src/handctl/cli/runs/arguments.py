@@ -7,16 +7,16 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import (
-    bitrate_options,
-    bus_option,
-    dry_run_option,
-    hand_option,
-    json_option,
-    perturb_option,
-    protocol_option,
-    run_options,
-    time_scale_option,
-    wire_option,
+    add_bitrate_options,
+    add_bus_option,
+    add_dry_run_option,
+    add_hand_option,
+    add_json_option,
+    add_perturb_option,
+    add_protocol_option,
+    add_run_options,
+    add_time_scale_option,
+    add_wire_option,
 )
 from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, Example
 from handctl.drives.modes import DriveMode
@@ -41,23 +41,23 @@ DRIVE_EXAMPLE = (
 
 def demo(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``demo``."""
-    hand_option(parser)
-    protocol_option(parser)
-    json_option(parser)
-    dry_run_option(parser)
-    text = "task (default: grasp.toml, or close, hold and open for a hand of other digits)"
+    add_hand_option(parser)
+    add_protocol_option(parser)
+    add_json_option(parser)
+    add_dry_run_option(parser)
+    text = "task (default: grasp.toml, or for a hand of other digits a task that closes, holds and opens)"
     parser.add_argument("--task", type=Path, metavar="FILE", help=text)
     text = "object to grasp (default: a cylinder of a size that suits the hand)"
     parser.add_argument("--scene", metavar="NAME|FILE", help=text)
     parser.add_argument("--seed", type=int, default=0, help="random seed of the simulator's noise")
-    wire_option(parser)
+    add_wire_option(parser)
     text = "simulate in virtual time: faster than real time, with the same result each time"
     parser.add_argument("--lockstep", action="store_true", help=text)
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
-    time_scale_option(parser, 1.0, "1")
+    add_time_scale_option(parser, 1.0, "1")
     _strict_clock_option(parser)
-    perturb_option(parser)
+    add_perturb_option(parser)
     text = "use the identified values of this file; the simulated hand is commissioned nevertheless"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
     parser.set_defaults(gains=None, rate=None, clear=False)
@@ -65,7 +65,7 @@ def demo(parser: argparse.ArgumentParser) -> None:
 
 def run(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``run``."""
-    run_options(parser)
+    add_run_options(parser)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time")
     what.add_argument("--task", type=Path, metavar="FILE", help="task file; without one the hand waits for requests")
@@ -82,25 +82,25 @@ def run(parser: argparse.ArgumentParser) -> None:
 
 def stop(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``stop``."""
-    bus_option(parser)
-    json_option(parser)
+    add_bus_option(parser)
+    add_json_option(parser)
     parser.add_argument("--cut", action="store_true", help="remove the torque at once, without a ramp")
 
 
 def clear(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``clear``."""
-    bus_option(parser)
-    json_option(parser)
+    add_bus_option(parser)
+    add_json_option(parser)
 
 
 def commission(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``commission``."""
-    run_options(parser)
+    add_run_options(parser)
 
 
 def jog(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``jog``."""
-    run_options(parser)
+    add_run_options(parser)
     parser.add_argument("digit", nargs="?", help="the digit to move, or with --angle a joint such as index_j1")
     goal = parser.add_mutually_exclusive_group(required=True)
     goal.add_argument("--tension", type=float, metavar="N", help="hold this tension in each tendon of the digit")
@@ -110,7 +110,7 @@ def jog(parser: argparse.ArgumentParser) -> None:
     text = "duration of the motion (default: 2)"
     parser.add_argument("--for", dest="duration", type=float, default=2.0, metavar="S", help=text)
     _drive_options(parser.add_argument_group("with --mode", DRIVE_EXAMPLE))
-    bitrate_options(parser, "with --mode: bit rate of the bus", "bit rate of CAN FD's data phase")
+    add_bitrate_options(parser, "with --mode: bit rate of the bus", "bit rate of CAN FD's data phase")
 
 
 def _drive_options(group: argparse._ArgumentGroup) -> None:
@@ -118,7 +118,7 @@ def _drive_options(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     add("--protocol", choices=sorted(PROTOCOLS), help="protocol of the drive")
     add("--node", type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus")
-    text = "torque [N m], velocity [rad/s], or position relative to the present one [rad]"
+    text = "torque [N m], velocity [rad/s], or position relative to the present position [rad]"
     add("--setpoint", type=float, metavar="X", help=text)
     text = "largest commanded torque [N m]; it is also the limit that the drive gets"
     add("--torque-limit-Nm", type=float, metavar="X", dest="limit", help=text)
@@ -134,20 +134,20 @@ def _drive_options(group: argparse._ArgumentGroup) -> None:
 
 def sim(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``sim``."""
-    hand_option(parser)
-    protocol_option(parser, "; writes HAND-PROTOCOL.toml for --hand of the controller")
-    bus_option(parser)
-    json_option(parser)
+    add_hand_option(parser)
+    add_protocol_option(parser, "; writes HAND-PROTOCOL.toml for --hand of the controller")
+    add_bus_option(parser)
+    add_json_option(parser)
     text = "check the arguments, print the command of the simulator, and exit"
     parser.add_argument("--dry-run", action="store_true", help=text)
     text = "cylinder, sphere, box, none, or a scene file (default: a cylinder of a size that suits the hand)"
     parser.add_argument("--scene", help=text)
     parser.add_argument("--seed", type=int, default=0, help="random seed of the simulator's noise")
-    perturb_option(parser)
+    add_perturb_option(parser)
     text = "serial number of one simulated motor, or a base to which each drive adds its number on the bus"
     parser.add_argument("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
-    wire_option(parser)
-    time_scale_option(parser, 1.0, "1")
+    add_wire_option(parser)
+    add_time_scale_option(parser, 1.0, "1")
     _strict_clock_option(parser)
 
 

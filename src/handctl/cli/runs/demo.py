@@ -33,7 +33,7 @@ from handctl.session.simulate import Simulator
 from handctl.session.tasks import find_scene, find_task
 
 SIMULATOR = "firmware_sim"
-START_S = 20.0
+START_TIMEOUT_S = 20.0
 
 
 def run(args: argparse.Namespace) -> int:
@@ -57,16 +57,16 @@ def _run_demo(args: argparse.Namespace) -> int:
     assignments(args.perturb, "--perturb")
     identified = identified_in(args.calibration, plan.hand)
     if args.dry_run:
-        _simulator_of(args, None).check()
+        _make_simulated_hand(args, None).check()
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
         return report_dry_run(args, plan, line, task=task.name, scene=args.scene)
     log = args.log or default_log(plan.hand, "demo")
     plan.attachments["task.toml"] = text
     started = time.monotonic()
     if args.lockstep:
-        outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log, identified)
+        outcome, truth = _run_in_lockstep(args, plan, TaskProgram(task), log, identified)
     else:
-        outcome = _in_real_time(args, plan, TaskProgram(task), log, identified)
+        outcome = _run_in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
     from handctl.session.verdict import judge_run  # reads the log, so that a run starts without it
@@ -86,7 +86,7 @@ def _bus_words(names: tuple[str, ...]) -> list[str]:
     return [spec] if len(names) == 1 else [f"{name}={spec}-{name}" for name in names]
 
 
-def _in_real_time(
+def _run_in_real_time(
     args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> Outcome:
     """Run in real time, with the simulator as a separate process."""
@@ -109,17 +109,17 @@ def _commission_and_run(
     return then(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
 
 
-def _in_lockstep(
+def _run_in_lockstep(
     args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> tuple[Outcome, Path]:
     """Run in virtual time with the simulated hand. Returns the outcome and the truth file."""
     truth = log.with_suffix(".truth")
-    with _simulator_of(args, truth).clock(plan.period_ns) as clock:
+    with _make_simulated_hand(args, truth).clock(plan.period_ns) as clock:
         runner = partial(run_lockstep, clock=clock)
         return _commission_and_run(plan, program, log, (runner, runner), identified), truth
 
 
-def _simulator_of(args: argparse.Namespace, truth: Path | None) -> Simulator:
+def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> Simulator:
     """Return the simulated hand of a run in lockstep."""
     perturb = assignments(args.perturb, "--perturb")
     return Simulator(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
@@ -148,13 +148,13 @@ def running_simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
         assert child.stdout is not None
         line = child.stdout.readline()
         if "ready" not in line:
-            if child.wait(START_S) == ExitCode.BAD_INPUT:
+            if child.wait(START_TIMEOUT_S) == ExitCode.BAD_INPUT:
                 raise SystemExit(ExitCode.BAD_INPUT)  # the simulator has printed the reason
             raise BusError("the simulator did not start", SIMULATOR, "a line that says ready")
         yield
     finally:
         child.terminate()
         try:
-            child.wait(START_S)
+            child.wait(START_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             child.kill()

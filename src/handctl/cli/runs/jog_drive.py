@@ -6,12 +6,12 @@ import sys
 from typing import Any
 
 from handctl.cli.console.bench import (
+    MAX_TORQUE_N_M,
     NOT_OFF_WARNING,
-    TORQUE_TOP,
     WATCHDOG_MS,
-    described_drive,
+    describe_drive,
     find_drive,
-    opened_rig,
+    open_rig,
     parse_options,
     with_torque_range,
 )
@@ -31,18 +31,18 @@ from handctl.session.exit_codes import ExitCode
 
 MAX_JOG_S = 600.0
 """Longest jog [s]."""
-RANGE_RAD = 1000.0
-"""Position range of a drive that reports none and counts turns [rad], the largest of a hand file."""
+MAX_POSITION_RANGE_RAD = 1000.0
+"""Position range of a drive that counts turns and reports no range [rad], the largest value of a hand file."""
 ANGLE = "rad"
 
 
 def run(args: argparse.Namespace) -> int:
     """Move the drive. Return 1 if it stopped early, 71 if it does not confirm that it is disabled."""
-    goal = _goal(args)
+    goal = _motion_goal(args)
     options = parse_options(args.option)
     args.bus = args.bus[0]
-    _described(args, options, None, goal)
-    line = f"{args.protocol} {args.node} on {args.bus} is moved: {_text(goal)}, at most {goal.torque:g} N m"
+    _describe(args, options, None, goal)
+    line = f"{args.protocol} {args.node} on {args.bus} is moved: {_goal_text(goal)}, at most {goal.torque:g} N m"
     if args.dry_run:
         if args.json:
             print_json({"mode": goal.mode.value, "setpoint": goal.target, "torque_limit_N_m": goal.torque})
@@ -53,9 +53,9 @@ def run(args: argparse.Namespace) -> int:
     print(f"{line}. Ctrl-C switches the drive off.", file=sys.stderr, flush=True)
     with bus_lock(args.bus):
         node = find_drive(args)
-        drive = _described(args, options, node, goal)
-        torque_drive = _described(args, _torque_options(options), node, goal._replace(mode=DriveMode.TORQUE))
-        result, off = _move(args, goal, drive, with_torque_range(torque_drive, node))
+        drive = _describe(args, options, node, goal)
+        torque_drive = _describe(args, _torque_options(options), node, goal._replace(mode=DriveMode.TORQUE))
+        result, off = _move_drive(args, goal, drive, with_torque_range(torque_drive, node))
     _print_result(args, goal, result, off)
     if not off:
         print(NOT_OFF_WARNING, file=sys.stderr, flush=True)
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.FAILED if result.failure else ExitCode.DONE
 
 
-def _goal(args: argparse.Namespace) -> JogGoal:
+def _motion_goal(args: argparse.Namespace) -> JogGoal:
     """Return the motion, with every number checked before a bus is opened.
 
     Raises:
@@ -80,10 +80,10 @@ def _goal(args: argparse.Namespace) -> JogGoal:
     missing = [name for name, value in needed.items() if value is None]
     if missing:
         raise ConfigError("nothing", missing[0], "a value with --mode")
-    _check_number(args.limit, "--torque-limit-Nm", 1e-3, TORQUE_TOP)
+    _check_number(args.limit, "--torque-limit-Nm", 1e-3, MAX_TORQUE_N_M)
     _check_number(args.speed_limit, "--speed-limit", 1e-2, 1000.0)
     _check_number(args.acceleration_limit, "--acceleration-limit", 1e-2, 1e5)
-    _check_number(args.travel, "--travel", 1e-2, RANGE_RAD)
+    _check_number(args.travel, "--travel", 1e-2, MAX_POSITION_RANGE_RAD)
     _check_number(args.duration, "--for", 1e-2, MAX_JOG_S)
     mode = DriveMode(args.mode)
     largest = {"N m": args.limit, "rad/s": args.speed_limit, ANGLE: args.travel}[COMMAND_UNITS[mode]]
@@ -102,7 +102,7 @@ def _check_number(value: float, name: str, low: float, high: float) -> None:
         raise ConfigError(f"{value:g}", name, f"{low:g} to {high:g}")
 
 
-def _described(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None, goal: JogGoal) -> Drive:
+def _describe(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None, goal: JogGoal) -> Drive:
     """Return the drive in the mode of the goal.
 
     Raises:
@@ -111,12 +111,12 @@ def _described(args: argparse.Namespace, options: dict[str, Any], node: Discover
 
     def make(motor: Motor) -> Drive:
         if motor.protocol in ("odrive", "cia402"):
-            motor = motor.model_copy(update={"position_range_rad": RANGE_RAD})
+            motor = motor.model_copy(update={"position_range_rad": MAX_POSITION_RANGE_RAD})
         if goal.mode == DriveMode.FORCE_POSITION and node and "torque_max_N_m" in node.settings:
             motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.torque)
         return make_mode_drive(motor, 0, goal.mode, goal.limits)
 
-    return described_drive(args, options, node, make)
+    return describe_drive(args, options, node, make)
 
 
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
@@ -124,7 +124,7 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 
     Args:
         motor: description of the motor.
-        full_scale: TMAX as found [N m]. It stays.
+        full_scale: TMAX of the motor [N m]. It is not changed.
         torque: torque limit [N m].
     """
     options = {"current_fraction": min(1.0, torque / full_scale), **motor.options}
@@ -137,19 +137,19 @@ def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in options.items() if key not in ("current_fraction", "velocity_unit")}
 
 
-def _text(goal: JogGoal) -> str:
+def _goal_text(goal: JogGoal) -> str:
     """Return the motion in words."""
     motion = f"{goal.mode.value} {goal.target:+g} {COMMAND_UNITS[goal.mode]} for {goal.duration_s:g} s"
     return f"{motion}, at most {goal.limits.speed:g} rad/s and {goal.travel:g} rad from here"
 
 
-def _move(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: Drive) -> tuple[JogResult, bool]:
+def _move_drive(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: Drive) -> tuple[JogResult, bool]:
     """Move the drive and disable it. Return the result, and True if the drive reports that it is off.
 
     A stop for a fault or a limit leaves the drive latched, in its mode. Otherwise it is left in torque mode.
     """
     result: JogResult | None = None
-    with opened_rig(args, drive) as (rig, bus):
+    with open_rig(args, drive) as (rig, bus):
         try:
             if args.clear:
                 rig.clear()
@@ -186,4 +186,4 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
     print(f"moved {result.moved:+.3f} rad, at most {result.fastest:.2f} rad/s, {strongest}")
     if result.failure:
         print(f"stopped: {result.failure}", file=sys.stderr, flush=True)
-    print("off, by its own report" if off else "NOT confirmed off")
+    print("off, as reported by the drive" if off else "NOT confirmed off")

@@ -9,7 +9,7 @@ from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
-from handctl.cli.runs.owner import StdinWatch
+from handctl.cli.runs.stdin_watch import StdinWatch
 from handctl.errors import ConfigError, DriveError
 from handctl.hand.file.toml_text import toml_text
 from handctl.programs.grasp import TaskProgram

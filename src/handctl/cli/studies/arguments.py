@@ -6,7 +6,7 @@ The code of a verb is imported only when the verb runs, so that the help appears
 import argparse
 from pathlib import Path
 
-from handctl.cli.console.options import hand_option, jobs_option, json_option, output_option
+from handctl.cli.console.options import add_hand_option, add_jobs_option, add_json_option, add_output_option
 from handctl.cli.parsing.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
 from handctl.drives.motor_description import GUARDED
 
@@ -43,7 +43,7 @@ def fault(parser: Parser) -> None:
     for sub in (inject, listed, kinds):
         text = "bus of the simulator (default: that of the only running simulator)"
         sub.add_argument("--bus", metavar="SPEC", help=text)
-        json_option(sub)
+        add_json_option(sub)
     _declare_campaign(action("campaign", "inject every fault of the fault matrix in lockstep"))
     _declare_sequences(action("sequences", "inject random sequences of faults in lockstep, and check the safety rules"))
 
@@ -54,20 +54,20 @@ def paper(parser: argparse.ArgumentParser) -> None:
     kind.add_argument("--json", action="store_true", help="print the items as JSON on standard output")
     kind.add_argument("--markdown", action="store_true", help="print the page as Markdown on standard output")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="folder for the figures as PNG and SVG")
-    output_option(parser, "write all results as one HTML page")
+    add_output_option(parser, "write all results as one HTML page")
     parser.add_argument("--export", type=Path, metavar="DIR", help="folder for the paper's hand as URDF and MJCF")
     text = "file with the results of the experiments; if it does not exist, run the experiments and write it"
     parser.add_argument("--results", type=Path, metavar="FILE", help=text)
     parser.add_argument("--quick", action="store_true", help="do not run the experiments, which take a minute or two")
-    jobs_option(parser, 2, "number of experiments at a time")
+    add_jobs_option(parser, 2, "number of experiments at a time")
 
 
 def _declare_campaign(parser: argparse.ArgumentParser) -> None:
-    hand_option(parser)
-    json_option(parser)
+    add_hand_option(parser)
+    add_json_option(parser)
     text = "protocol of the drives (default: mit)"
     parser.add_argument("--protocol", default="mit", choices=[*GUARDED, "all"], help=text)
-    jobs_option(parser, 2, "number of scenarios at a time")
+    add_jobs_option(parser, 2, "number of scenarios at a time")
     parser.add_argument("--quick", action="store_true", help="run a sample of the campaign, in less than a minute")
     text = "inject only the fault of this row; may be repeated"
     parser.add_argument("--row", action="append", default=[], metavar="ID", help=text)
@@ -75,15 +75,15 @@ def _declare_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calm", type=float, metavar="S", help=text)
     parser.add_argument("--calm-only", action="store_true", help="run the hand without a fault only")
     parser.add_argument("--seed", type=int, default=1, help="random seed of the simulated hand (default: 1)")
-    output_option(parser, "folder of report.html, report.json and the logs of failures (logs/campaign)", "DIR")
+    add_output_option(parser, "folder of report.html, report.json and the logs of failures (logs/campaign)", "DIR")
 
 
 def _declare_sequences(parser: argparse.ArgumentParser) -> None:
-    hand_option(parser)
-    json_option(parser)
+    add_hand_option(parser)
+    add_json_option(parser)
     parser.add_argument("--protocol", default="mit", choices=GUARDED, help="protocol of the drives (default: mit)")
     parser.add_argument("--count", type=int, default=30, metavar="N", help="number of sequences (default: 30)")
     text = "random seed of the first sequence, each further one adds 1 (default: 1)"
     parser.add_argument("--seed", type=int, default=1, help=text)
-    jobs_option(parser, 2, "number of sequences at a time")
-    output_option(parser, "folder of the logs of failures (logs/campaign)", "DIR")
+    add_jobs_option(parser, 2, "number of sequences at a time")
+    add_output_option(parser, "folder of the logs of failures (logs/campaign)", "DIR")

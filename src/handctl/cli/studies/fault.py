@@ -26,7 +26,11 @@ def _send_request(args: argparse.Namespace, question: dict[str, object]) -> int:
     if args.json:
         print_json({"faults": faults})
         return 0
-    print(f"{'state':8} {'felt':>6}  fault" if faults else "no faults so far; handctl fault kinds lists what there is")
+    print(
+        f"{'state':8} {'felt':>6}  fault"
+        if faults
+        else "no faults so far; handctl fault kinds lists the faults that can be injected"
+    )
     for fault in faults:
         print(f"{fault['state']:8} {fault['felt']:>6}  {fault['fault']}")
     return 0

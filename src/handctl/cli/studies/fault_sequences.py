@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(figures | {"results": [result.plain() for result in broken]})
     else:
-        print(f"{len(results)} sequences, {figures['felt']} faults with an effect; {len(broken)} broke a rule")
+        print(f"{len(results)} sequences, {figures['felt']} faults with an effect; {len(broken)} violated a rule")
         print(f"largest true tension {figures['worst_tension_N']:.0f} N")
         for result in broken:
             print(f"{result.scenario}: {result.problem}")

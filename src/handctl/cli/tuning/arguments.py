@@ -7,18 +7,18 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import (
-    bus_option,
-    clear_option,
-    dry_run_option,
-    gains_options,
-    hand_option,
-    jobs_option,
-    json_option,
-    output_option,
-    perturb_option,
-    run_options,
-    time_scale_option,
-    yes_option,
+    add_bus_option,
+    add_clear_option,
+    add_dry_run_option,
+    add_gains_options,
+    add_hand_option,
+    add_jobs_option,
+    add_json_option,
+    add_output_option,
+    add_perturb_option,
+    add_run_options,
+    add_time_scale_option,
+    add_yes_option,
 )
 from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, Example, Parser, add_sub_verb
 
@@ -46,7 +46,7 @@ EXAMPLES = {
 
 def identify(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``identify``."""
-    run_options(parser, bus_required=False)
+    add_run_options(parser, bus_required=False)
     text = "digits to identify (default: all, one after the other)"
     parser.add_argument("--digits", nargs="+", action="extend", metavar="DIGIT", help=text)
     parser.add_argument(
@@ -61,7 +61,7 @@ def identify(parser: argparse.ArgumentParser) -> None:
     text = "identify the simulated hand in virtual time, without a bus"
     parser.add_argument("--lockstep", action="store_true", help=text)
     parser.add_argument("--seed", type=int, default=0, help="random seed of the simulated hand")
-    perturb_option(parser)
+    add_perturb_option(parser)
     parser.add_argument("--no-write", action="store_true", help="do not change the calibration file")
 
 
@@ -71,12 +71,12 @@ def gains(parser: Parser) -> None:
 
     def kind(name: str, text: str) -> Parser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
-        json_option(one)
+        add_json_option(one)
         if name != "set":  # no --hand for set: the running controller has loaded its hand
-            hand_option(one)
+            add_hand_option(one)
         return one
 
-    gains_options(kind("show", "show every gain: value, source, meaning, unit and bounds"))
+    add_gains_options(kind("show", "show every gain: value, source, meaning, unit and bounds"))
     diff = kind("diff", "compare two sets of gains")
     text = "one or two of: a file, a log, a number of the history, present, packaged (default: packaged present)"
     diff.add_argument("sides", nargs="*", default=[], metavar="GAINS", help=text)
@@ -95,7 +95,7 @@ def gains(parser: Parser) -> None:
     kind("log", "list all gains that were applied")
     live = kind("set", "change gains of a running controller, without a step in torque")
     live.add_argument("values", nargs="+", metavar="KEY=VALUE", help="gains and their new values")
-    bus_option(live)
+    add_bus_option(live)
 
 
 def tune(parser: Parser) -> None:
@@ -111,9 +111,9 @@ def tune(parser: Parser) -> None:
 
 def _add_kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
     parser = add_sub_verb(kinds, name, text, EXAMPLES[f"tune {name}"])
-    hand_option(parser)
-    json_option(parser)
-    gains_options(parser)
+    add_hand_option(parser)
+    add_json_option(parser)
+    add_gains_options(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: computed from the bus load)")
     text = "random seed of plants, noise and search (default: 0)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=text)
@@ -125,8 +125,8 @@ def _declare_plants(parser: argparse.ArgumentParser, default: int) -> None:
     parser.add_argument("--plants", type=int, default=default, metavar="N", help=text)
     text = "tune the hand as it was identified (default: as in its file)"
     parser.add_argument("--calibration", dest="fit", type=Path, metavar="FILE", help=text)
-    perturb_option(parser)
-    output_option(parser, "gains file to write (default: HAND.design.toml or HAND.search.toml)")
+    add_perturb_option(parser)
+    add_output_option(parser, "gains file to write (default: HAND.design.toml or HAND.search.toml)")
 
 
 def _declare_design(parser: argparse.ArgumentParser) -> None:
@@ -140,11 +140,11 @@ def _declare_design(parser: argparse.ArgumentParser) -> None:
 
 def _declare_search(parser: argparse.ArgumentParser) -> None:
     _declare_plants(parser, 3)
-    text = "number of all trials, with those of a resumed study (default: 64)"
+    text = "total number of trials, including the trials of a resumed study (default: 64)"
     parser.add_argument("--trials", type=int, default=64, metavar="N", help=text)
     text = "journal of the search, which is resumed if it exists (default: HAND.study)"
     parser.add_argument("--study", type=Path, metavar="FILE", help=text)
-    jobs_option(parser, 1, "number of parallel processes")
+    add_jobs_option(parser, 1, "number of parallel processes")
     text = "use an existing Dask cluster instead of local processes"
     parser.add_argument("--scheduler", metavar="tcp://...", help=text)
     parser.add_argument("--picture", type=Path, metavar="FILE", help="picture of the result (default: beside --output)")
@@ -152,17 +152,19 @@ def _declare_search(parser: argparse.ArgumentParser) -> None:
 
 def _declare_verify(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("candidate", type=Path, metavar="NEW.toml", help="gains to verify")
-    bus_option(parser, required=False)
-    dry_run_option(parser)
+    add_bus_option(parser, required=False)
+    add_dry_run_option(parser)
     parser.add_argument("--lockstep", action="store_true", help="use a simulated hand in virtual time, without a bus")
-    perturb_option(parser)
-    text = "calibration file (default: HAND.calibration.toml; with --lockstep none, but the identified values)"
+    add_perturb_option(parser)
+    text = (
+        "calibration file (default: HAND.calibration.toml; with --lockstep none, and only identified values are used)"
+    )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
-    text = "with --lockstep: number of runs, each with another seed; their spread decides (default: 3)"
+    text = "with --lockstep: number of runs with different seeds; their spread gives the intervals (default: 3)"
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help=text)
     text = "accept the gains even if a column is worse than with the old gains"
     parser.add_argument("--accept-worse", action="store_true", help=text)
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND-verify.mcap)")
-    clear_option(parser)
-    yes_option(parser)
-    time_scale_option(parser)
+    add_clear_option(parser)
+    add_yes_option(parser)
+    add_time_scale_option(parser)

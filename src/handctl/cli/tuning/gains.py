@@ -20,14 +20,14 @@ from handctl.session.gains import assignments, gains_for
 from handctl.session.plan import check_design
 from handctl.tune.gains_store import GainsStore, StoredGains
 
-TAKEN_OVER_S = 3.0
+GAIN_CHANGE_TIMEOUT_S = 3.0
 """Longest time for a running controller to design gains and switch to them [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the selected sub-verb and return its exit code."""
     if args.what == "set":
-        return _set_live(args)
+        return _change_live_gains(args)
     does = {
         "show": _show_gains,
         "diff": _print_diff,
@@ -213,7 +213,7 @@ def _entry_line(entry: StoredGains, entries: list[StoredGains]) -> str:
     return made_and_sources + (f"; changes {few}" if few else "; changes nothing")
 
 
-def _set_live(args: argparse.Namespace) -> int:
+def _change_live_gains(args: argparse.Namespace) -> int:
     """Change gains of a running controller.
 
     Invalid values are refused before any request is sent.
@@ -225,7 +225,7 @@ def _set_live(args: argparse.Namespace) -> int:
     bus = controller_bus(args)
     watcher = open_watcher(bus, "gains")
     try:
-        watcher.fresh_line(TAKEN_OVER_S)
+        watcher.fresh_line(GAIN_CHANGE_TIMEOUT_S)
         line, texts = send_confirmed(watcher, {"do": "gains", "set": values})
         for text in texts:
             _raise_refusal(text)
@@ -247,7 +247,7 @@ def _wait_for_answers(watcher: Any, values: dict[str, float], taken: dict[str, A
         UnconfirmedError: the controller does not confirm the gains in time.
     """
     texts: dict[str, str] = {}
-    for line in itertools.chain((taken,), watcher.lines(TAKEN_OVER_S)):
+    for line in itertools.chain((taken,), watcher.lines(GAIN_CHANGE_TIMEOUT_S)):
         for event in line["events"]:
             if event["name"] == "gain" and event["where"] in values:
                 texts[event["where"]] = event["text"]

@@ -49,7 +49,9 @@ from handctl.tune.identify.identify import (
     utc_now_text,
 )
 
-BLOCKED_HINT = "expected a digit that touches nothing: move away what it meets, or correct the hand file's springs"
+BLOCKED_HINT = (
+    "expected a digit that touches nothing: remove the object that it touches, or correct the springs in the hand file"
+)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,12 +66,12 @@ def run(args: argparse.Namespace) -> int:
     if not args.bus:
         refuse_bus_options(args)
     if args.logs:
-        return _from_logs(args)
+        return _identify_from_logs(args)
     plan = make_plan(args, lockstep=args.lockstep)
     program = ExciteProgram(excitation(plan.hand, tuple(args.digits or plan.hand.digit_names)))
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.lockstep and not args.calibration:  # keep simulated results out of the real calibration
-        path = _of_simulated(plan.hand)
+        path = _simulated_calibration_path(plan.hand)
     total = sum(step.duration_s for step in program.steps)
     if args.dry_run:
         digits = list(dict.fromkeys(step.digit for step in program.steps))
@@ -116,7 +118,7 @@ def _commission_and_excite(
     return calibration, outcome
 
 
-def _from_logs(args: argparse.Namespace) -> int:
+def _identify_from_logs(args: argparse.Namespace) -> int:
     """Identify from recorded runs without motion.
 
     If several logs have a result for a tendon, the last log is used.
@@ -124,7 +126,7 @@ def _from_logs(args: argparse.Namespace) -> int:
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
     if _are_simulated(args.logs) and not args.calibration:
-        path = _of_simulated(hand)
+        path = _simulated_calibration_path(hand)
     calibration = load_calibration(path, hand) if path.exists() else None
     results: dict[Path, dict[str, TendonResult]] = {}
     for log in args.logs:
@@ -142,7 +144,7 @@ def _from_logs(args: argparse.Namespace) -> int:
     return _report_results(args, hand, results, path, calibration)
 
 
-def _of_simulated(hand: Hand) -> Path:
+def _simulated_calibration_path(hand: Hand) -> Path:
     """Return the path of the calibration file for a simulated hand.
 
     A real hand is never armed with this file.
@@ -186,7 +188,7 @@ def _report_results(
     written = calibration is not None and not args.no_write and (any_identified or not (spoilt or met))
     if calibration is not None and written:
         write_calibration(path, calibration.model_copy(update={"identified": identified}))
-    pictures = _pictures(hand, results, print_note)  # after the calibration: a drawing error loses nothing else
+    pictures = _draw_pictures(hand, results, print_note)  # after the calibration: a drawing error loses nothing else
     for digit, reason in spoilt.items():
         print_escaped(
             f"handctl: no parameters of {digit} are kept: {reason}; expected a digit that touches nothing",
@@ -218,7 +220,7 @@ def _search_command(args: argparse.Namespace, path: Path) -> str:
     return shlex.join(words + same_hand_words(args))
 
 
-def _pictures(hand: Hand, results: dict[Path, dict[str, TendonResult]], say: Callable[[str], None]) -> list[Path]:
+def _draw_pictures(hand: Hand, results: dict[Path, dict[str, TendonResult]], say: Callable[[str], None]) -> list[Path]:
     pictures = []
     for log, tendons in results.items():
         for name, one in tendons.items():

@@ -1,4 +1,4 @@
-"""``handctl tune search``: search the best gains on an ensemble of twins. An interrupted search can resume."""
+"""``handctl tune search``: search the best gains on simulated hands. An interrupted search can resume."""
 
 import argparse
 import time

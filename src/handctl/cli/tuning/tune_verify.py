@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
     if old.filter != new.gains.filter:
-        print_note("the filter's gains cannot change in a run: both halves use the new ones")
+        print_note("the filter's gains cannot change in a run: both halves use the new filter gains")
     if args.dry_run:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds"
         return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
@@ -122,7 +122,7 @@ def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outco
     if args.json:
         print_json(result)
     else:
-        _print(result, last["rounds"], args)
+        _print_rounds(result, last["rounds"], args)
     if outcome.exit != ExitCode.DONE:
         return outcome.exit
     return ExitCode.DONE if verified else ExitCode.FAILED
@@ -136,7 +136,7 @@ def _print_columns(result: dict[str, Any]) -> None:
         print(f"{one['name']}: {one['verdict']}, {change}")
 
 
-def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
+def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
     from rich.table import Table
 
     from handctl.tune.verify import AMPLITUDES
