@@ -138,8 +138,8 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
     result, row = excited(hand_name, digit, seed, factors, gains_for(hand, digit, seed), folder)
     if not result:
         return row
-    row["refused"] = sorted({reason for one in result.values() for reason in (one.met, one.blocked) if reason})
-    shared = {name: one for tendon, one in result.items() for name in one.judged.names if name in DIGIT_KEYS}
+    row["refused"] = sorted({reason for one in result.values() for reason in (one.contact, one.blocked) if reason})
+    shared = {name: one for tendon, one in result.items() for name in one.identifiability.names if name in DIGIT_KEYS}
     row["parameters"] = [
         judged(name, tendon, real, shared.get(name, one))
         for tendon, one in result.items()
@@ -151,10 +151,10 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
 
 def judged(name: str, tendon: str, real: float, result: TendonResult) -> Row:
     """Compare one parameter with the truth. Widths and error are fractions of the true value."""
-    identified = name in result.judged.names
+    identified = name in result.identifiability.names
     error = result.fit.values[name] / real - 1.0
     width = result.fit.half_widths[name] / real
-    together = result.fit.half_widths_of(max(1, len(result.judged.names)))[name] / real
+    together = result.fit.half_widths_of(max(1, len(result.identifiability.names)))[name] / real
     return {
         "name": name,
         "tendon": tendon,

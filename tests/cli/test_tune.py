@@ -58,7 +58,9 @@ def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch
 
 
 def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, monkeypatch):
-    monkeypatch.setattr("handctl.tune.loops.steps.Proof._simulate", lambda self, model: ": plant 1 of 1 swings by 9 N")
+    monkeypatch.setattr(
+        "handctl.tune.loops.steps.RestTest._simulate", lambda self, model: ": plant 1 of 1 swings by 9 N"
+    )
     assert main(["tune", "design", "--plants", "1", "--poles-Hz", "5,25"]) == 1
     assert "not stable on every plant: plant 1 of 1 swings by 9 N; nothing is written" in capsys.readouterr().err
     assert not list(place.iterdir())
@@ -178,15 +180,15 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(place, capsys, 
 
 def found_of(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
     """Return a fit of a tendon, with the contact that its digit had during the excitation."""
-    from handctl.tune.identify.fit import NAMES
+    from handctl.tune.identify.fit import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
 
-    values = dict.fromkeys(NAMES, 1.0) | {"tendon_stiffness": stiffness}
-    problem = SimpleNamespace(nominal=np.ones(len(NAMES)))
-    fit = SimpleNamespace(problem=problem, covariance=np.eye(len(NAMES)), values=values, half_widths=values)
+    values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"tendon_stiffness": stiffness}
+    problem = SimpleNamespace(nominal=np.ones(len(PARAMETER_NAMES)))
+    fit = SimpleNamespace(problem=problem, covariance=np.eye(len(PARAMETER_NAMES)), values=values, half_widths=values)
     judged = SimpleNamespace(names=names, missing=())
     spectrum = (np.zeros(1), np.zeros(1))
-    return TendonResult(SimpleNamespace(digit=digit), fit, judged, 1.0, spectrum, blocked=blocked, met=met)
+    return TendonResult(SimpleNamespace(digit=digit), fit, judged, 1.0, spectrum, blocked=blocked, contact=met)
 
 
 def _identifies(monkeypatch, made, found):

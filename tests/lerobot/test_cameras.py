@@ -97,9 +97,9 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
 
 def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:
     source = write_video(tmp_path / "one.mp4", 1.0)
-    with pytest.raises(LogError, match=r"one.mp4: the video ends 1.\d\d s before the episode"):
+    with pytest.raises(LogError, match=r"one.mp4: the video ends 1.\d\d s before the end of the episode"):
         write_episode_video(source, tmp_path / "a.mp4", 0.0, 2 * FPS, FPS)
-    with pytest.raises(LogError, match=r"the video begins 1.00 s after the episode"):
+    with pytest.raises(LogError, match=r"the video begins 1.00 s after the start of the episode"):
         write_episode_video(source, tmp_path / "a.mp4", -1.0, FPS, FPS)
     (tmp_path / "text.mp4").write_text("no video")
     with pytest.raises(LogError, match=r"text.mp4: ffmpeg: .*; expected a video that ffmpeg reads"):

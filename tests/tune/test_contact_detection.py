@@ -9,8 +9,8 @@ from benchmarks.identify import detuned, excited, plant, truth
 from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.tune.identify.contact_detection import (
+    CLEAR_SCORE,
     CONTACT_SCORE,
-    NO_CONTACT_SCORE,
     Ramp,
     are_joints_moving,
     steepest_ramp,
@@ -55,7 +55,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     """Springs of 1.41 and 1.73 instead of 1.2 were once kept without a message."""
     found = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
     for one in found.values():
-        assert one.met or one.blocked
+        assert one.contact or one.blocked
         assert not set(one.names) & set(SWEEP_PARAMETERS)
     real = truth(load_hand(hand), next(iter(found)), plant(0) | dict.fromkeys(plant(0), 1.0))
     for one in found.values():  # parameters that the contact does not affect are correct
@@ -68,7 +68,7 @@ def test_a_digit_that_touches_nothing_is_kept(tmp_path: Path, hand: str, seed: i
     """Accept plants with parameters off by up to 30 %."""
     found, row = excited(hand, DIGITS[seed % 4], seed, plant(seed), Gains(), tmp_path)
     assert "failure" not in row
-    assert [(one.met, one.blocked) for one in found.values() if one.met or one.blocked] == []
+    assert [(one.contact, one.blocked) for one in found.values() if one.contact or one.blocked] == []
 
 
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     found, row = excited("jamia", "index", 8, plant(8), detuned(Gains(), 8), tmp_path)
     assert "failure" not in row
     one = found["index_tendon"]
-    assert (one.met, one.blocked) == ("", "")
+    assert (one.contact, one.blocked) == ("", "")
     assert one.fit.values["spring_stiffness"] == pytest.approx(plant(8)["spring"], rel=0.05)
 
 
@@ -93,7 +93,7 @@ def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> Ramp
 def test_noise_without_contact_has_no_kink() -> None:
     scores = [abs(found.score) for seed in range(1000) if (found := unexplained_ramp_of_line(seed, 0.0))]
     assert max(scores) < CONTACT_SCORE
-    assert np.mean(np.array(scores) < NO_CONTACT_SCORE) > 0.97
+    assert np.mean(np.array(scores) < CLEAR_SCORE) > 0.97
 
 
 @pytest.mark.parametrize("begin", [0.1, 0.2, 0.3, 0.4])
@@ -101,13 +101,13 @@ def test_a_kink_is_found_where_it_is(begin: float) -> None:
     for seed in range(20):
         found = unexplained_ramp_of_line(seed, 40.0, begin)
         assert found
-        assert found.met
-        assert not found.clear
+        assert found.is_contact
+        assert not found.excludes_contact
         assert found.begin == pytest.approx(begin, abs=0.06)
         assert found.rise == pytest.approx(40.0 * (0.6 - begin), rel=0.5)
         support = unexplained_ramp_of_line(seed, -40.0, begin)
         assert support
-        assert support.met
+        assert support.is_contact
         assert support.rise < 0.0
 
 
@@ -118,11 +118,11 @@ def test_a_fit_without_a_sweep_reports_no_contact() -> None:
 
 def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:
     good = Ramp(1.0, 0.3, 0.6, 0.1, 300, 0.0, 1.0, CONTACT_SCORE)
-    assert good.clear
-    assert not good.met
-    for changes in ({"score": -3.1}, {"rows": 20}, {"outliers": 0.01}, {"square": 1.6}):
-        assert not good._replace(**changes).clear
-    assert good._replace(score=-CONTACT_SCORE).met
+    assert good.excludes_contact
+    assert not good.is_contact
+    for changes in ({"score": -3.1}, {"rows": 20}, {"outliers": 0.01}, {"mean_square": 1.6}):
+        assert not good._replace(**changes).excludes_contact
+    assert good._replace(score=-CONTACT_SCORE).is_contact
 
 
 def test_a_digit_that_closes_farther_than_two_of_its_joints_moves_all_three() -> None:

@@ -15,11 +15,11 @@ from handctl.session.plan import control_rate
 from handctl.tune.loops.design import (
     design_gains,
     design_with_poles,
+    distinct_tendons,
     gains_with_poles,
     keeps_required_margins,
     linear_factors,
     model_with_gains,
-    unlike_tendons,
     worst_margins,
 )
 from handctl.tune.loops.linear import LoopKind, PlantFactors
@@ -37,9 +37,9 @@ def test_the_packaged_gains_keep_their_margins(name: str) -> None:
     """Motors of orca_like oscillated at 140 Hz, and t42 had 2.4 dB, with the gains of jamia."""
     hand = load_hand(name)
     model = HandModel.of(hand, packaged_gains(name), control_rate(None, hand, bus_loads(hand)))
-    count = MANY_PLANTS if len(unlike_tendons(model)) < 5 or NIGHTLY else FEW_PLANTS
+    count = MANY_PLANTS if len(distinct_tendons(model)) < 5 or NIGHTLY else FEW_PLANTS
     worst = worst_margins(model, tuple(linear_factors(one) for one in draw_ensemble(count, 0)))
-    assert worst.enough, worst
+    assert worst.are_sufficient, worst
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
@@ -52,7 +52,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     both = design_gains(HandModel.of(hand, packaged_gains("t42"), 500.0), plants)
     assert both.gains.tendon == ()
     found = design_gains(model, plants)
-    assert found.worst_after.enough
+    assert found.worst_after.are_sufficient
     (light,) = found.gains.tendon
     assert light.name == "right_flexor"
     assert light.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
@@ -75,8 +75,8 @@ def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel
     jamia = model_with_gains(jamia, bold.model_copy(update={"filter": jamia.gains.filter}))
     assert not keeps_required_margins(jamia, plants)
     found = design_gains(jamia, plants)
-    assert found.worst_after.enough
-    assert not found.worst_before.enough
+    assert found.worst_after.are_sufficient
+    assert not found.worst_before.are_sufficient
     assert keeps_required_margins(model_with_gains(jamia, found.gains), plants)
     bolder = found.gains.model_copy(
         update={"tension": found.gains.tension.model_copy(update={"force_N": 1.3 * found.gains.tension.force_N})}

@@ -15,9 +15,9 @@ from handctl.hand.dynamics import DigitModel
 from handctl.hand.load import load_hand
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.session.calibration import write_calibration
-from handctl.tune.identify.excitation import excitation, lift_off
+from handctl.tune.identify.excitation import excitation, lift_off_tension
 from handctl.tune.identify.figure import _draw_parameters
-from handctl.tune.identify.fit import NAMES
+from handctl.tune.identify.fit import PARAMETER_NAMES
 from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters
 from handctl.tune.identify.fit_motor import HALF_WINDOW_S, _cumulative, _window, _window_curvature, _window_slope
 from handctl.tune.identify.identifiability import _reason_not_identified
@@ -108,7 +108,7 @@ def test_the_excitation_keeps_within_the_hand_s_limits() -> None:
         assert sum(step.duration_s for step in digit_steps) < 21.0
         assert max(step.target for step in digit_steps if step.kind in ("tension", "taut")) <= 0.5 * 110.0
         stretch = [step.target for step in digit_steps if step.name == "stretch"]
-        assert max(stretch) < 0.7 * lift_off(hand, digit)
+        assert max(stretch) < 0.7 * lift_off_tension(hand, digit)
     with pytest.raises(ConfigError, match="pinky"):
         excitation(hand, ("pinky",))
 
@@ -175,18 +175,20 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
 
 def test_delay_is_judged_by_an_absolute_limit() -> None:
     """A delay of zero is identified by an absolute limit, not by a fraction of its value."""
-    rows = np.ones((3, len(NAMES)))
+    rows = np.ones((3, len(PARAMETER_NAMES)))
     assert _reason_not_identified(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"
     assert "50 % of the value" in _reason_not_identified(rows, "capstan")
     assert "no data depend" in _reason_not_identified(0.0 * rows, "delay")
 
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
-    nominal = np.ones(len(NAMES))
-    known = dict.fromkeys(NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
-    fit = SimpleNamespace(values=known, half_widths=dict.fromkeys(NAMES, 0.1), problem=SimpleNamespace(nominal=nominal))
+    nominal = np.ones(len(PARAMETER_NAMES))
+    known = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
+    fit = SimpleNamespace(
+        values=known, half_widths=dict.fromkeys(PARAMETER_NAMES, 0.1), problem=SimpleNamespace(nominal=nominal)
+    )
     axis = Figure().subplots()
-    _draw_parameters(axis, SimpleNamespace(fit=fit, judged=SimpleNamespace(names=("capstan", "torque_gain"))))
+    _draw_parameters(axis, SimpleNamespace(fit=fit, identifiability=SimpleNamespace(names=("capstan", "torque_gain"))))
     assert axis.get_xlim() == pytest.approx((0.2, 2.6))
     rows = [*axis.get_yticks()]
     assert min(rows) > min(axis.get_ylim())

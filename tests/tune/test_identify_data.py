@@ -7,7 +7,7 @@ import numpy as np
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.tune.identify.data import STOP_DEG, TRANSIENT_S, tendon_data
+from handctl.tune.identify.data import STOP_DISTANCE_DEG, TRANSIENT_S, tendon_data
 
 GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
@@ -25,6 +25,6 @@ def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
             for k in np.flatnonzero(data.free):
                 while_before = slice(k - round(TRANSIENT_S / period) + 1, k + 1)
                 assert not held[while_before, joints].any()
-                assert (angles[while_before, joints] > np.array(digit.joint_min_deg) + STOP_DEG).all()
-                assert (angles[while_before, joints] < np.array(digit.joint_max_deg) - STOP_DEG).all()
+                assert (angles[while_before, joints] > np.array(digit.joint_min_deg) + STOP_DISTANCE_DEG).all()
+                assert (angles[while_before, joints] < np.array(digit.joint_max_deg) - STOP_DISTANCE_DEG).all()
     assert found > 60, "and what is free is found"

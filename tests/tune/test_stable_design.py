@@ -9,10 +9,10 @@ import pytest
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands
-from handctl.tune.loops.design import Design, design_gains, linear_factors, unlike_tendons
+from handctl.tune.loops.design import Design, design_gains, distinct_tendons, linear_factors
 from handctl.tune.loops.linear import LoopKind, System, _half_closed, controller_system, open_loop
 from handctl.tune.loops.margins import MAX_GAIN_DB, Margins, confirmed_margins, is_stable, margins_of_loop
-from handctl.tune.loops.steps import Proof, Swing, is_ringing, simulate_swing
+from handctl.tune.loops.steps import RestTest, Swing, is_ringing, simulate_swing
 from handctl.tune.search.ensemble import draw_ensemble
 from tests.conftest import NIGHTLY
 
@@ -67,13 +67,19 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
     assert len(integral) >= 1  # the integral acts with gain 1, unless the force is at its limit
-    assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).enough
+    assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).are_sufficient
 
 
 def test_a_loop_without_gain_has_no_margin() -> None:
     still = System(np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002)
     for found in (margins_of_loop(still), confirmed_margins(still)):
-        assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.enough) == (0.0, 0.0, 0.0, 0.0, False)
+        assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.are_sufficient) == (
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            False,
+        )
 
 
 def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
@@ -117,7 +123,7 @@ def judged_stable(model: HandModel, found: Design, seed: int) -> HandModel:
     """Return the designed model after a check that all its loops are stable on both plants."""
     after = HandModel.of(model.hand, found.gains, 1.0 / model.period)
     for factors in draw_ensemble(2, seed):
-        for i in unlike_tendons(after):
+        for i in distinct_tendons(after):
             assert all(is_stable(open_loop(after, i, kind, linear_factors(factors))) for kind in LoopKind)
     return after
 
@@ -138,11 +144,11 @@ def test_written_design_is_stable(hand: str, seed: int) -> None:
     model, factors = model_of(hand, seed, 3.0), draw_ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
     try:
-        found = design_gains(model, plants, Proof(model.hand, factors, plants, seed))
+        found = design_gains(model, plants, RestTest(model.hand, factors, plants, seed))
     except ValueError:
         return  # no design is written
     after = judged_stable(model, found, seed)
-    assert Proof(model.hand, factors, plants, seed + 100)(after)
+    assert RestTest(model.hand, factors, plants, seed + 100)(after)
 
 
 def test_a_proof_that_fails_leaves_no_design(jamia: HandModel) -> None:
@@ -157,10 +163,10 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     assert not simulate_swing(model.hand, model, {}, 0).at_rest
 
 
-def proof_of(model: HandModel) -> Proof:
+def proof_of(model: HandModel) -> RestTest:
     """Return a proof on the hand's own plant and its ensemble."""
     factors = draw_ensemble(2, 0)
-    return Proof(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
+    return RestTest(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
 
 
 def test_closing_spool_pairs_are_not_taken_for_torn_tendons() -> None:
@@ -202,7 +208,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
 
 def proof_with(
     monkeypatch: pytest.MonkeyPatch, model: HandModel, chatter: tuple[float, ...], found: tuple[float, ...]
-) -> Proof:
+) -> RestTest:
     """Return a proof on plants with given chatter and given swings of the gains [N]."""
 
     def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
@@ -233,7 +239,7 @@ def test_a_loop_that_rings_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPa
     assert not is_ringing(jamia, linear_factors({"friction": 0.5}))
     proof = proof_with(monkeypatch, ringing, chatter, chatter)
     assert not proof(ringing)
-    assert "of a loop that rings" in proof.reason
+    assert "of a loop that oscillates" in proof.reason
     assert proof_with(monkeypatch, jamia, chatter, chatter)(jamia)
 
 

@@ -34,15 +34,15 @@ def _verified(new: Gains, log: Path) -> VerifyObserver:
 @pytest.mark.parametrize(("new", "goes_back"), [pytest.param(CALM, False, marks=pytest.mark.nightly), (WILD, True)])
 def test_ringing_gains_are_rolled_back(new: Gains, goes_back: bool, tmp_path: Path) -> None:
     observer = _verified(new, tmp_path / "run.mcap")
-    assert (observer.returned is not None) == goes_back
+    assert (observer.rollback is not None) == goes_back
     with RunLog(tmp_path / "run.mcap") as log:
         requests = [event for event in log.events if event.event.text == "asked: gains"]
         assert len(requests) == 1 + goes_back
         assert len(scores_by_round(log, observer.hand, None, 0)) == 2
         assert execute_log(log).differing == 0
-    if observer.returned:
-        assert "oscillate" in observer.returned.why
-        assert observer.returned.k < requests[1].k <= observer.returned.k + 2
+    if observer.rollback:
+        assert "oscillate" in observer.rollback.why
+        assert observer.rollback.k < requests[1].k <= observer.rollback.k + 2
 
 
 def test_a_report_says_whose_gains_each_round_was_done_with() -> None:

@@ -1,4 +1,4 @@
-"""Meshes of a hand as attachments of its log, so that the log shows them on any machine."""
+"""Meshes of a hand as attachments of a log, so that a viewer of the log shows them on any machine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from handctl.hand.formats.mesh_file import mesh_triangles
 from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, mesh_sizes, meshes_of, read_meshes
 
 MAX_BYTES = 4 << 20
-"""Largest total size of the mesh files of a hand in its log [bytes]."""
+"""Largest total size of the mesh files in a log [bytes]. Larger meshes are not stored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +18,7 @@ class AttachedMesh:
     """Mesh of a link with the content of its file.
 
     Attributes:
-        mesh: place of the mesh on its link.
+        mesh: position of the mesh on a link of the hand.
         data: content of the file.
         triangles: (n, 3, 3) in the frame of the link [m].
     """

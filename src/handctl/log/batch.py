@@ -34,7 +34,7 @@ FIXED_DTYPE = np.dtype(
 The hash is stored as raw bytes (V8).
 """
 _MAX_CACHED_TAILS = 256
-"""Largest number of cached message ends.
+"""Largest number of cached message ends (phase, io events, requests, events).
 
 A log without events has a single message end per phase.
 """
@@ -216,8 +216,7 @@ class Batcher:
             at: start of the phase in the message [bytes].
         """
         # Nearly all ticks have no event, and their tails (phase, empty lists) are equal. The cache
-        # avoids
-        # decoding CDR text for each of them.
+        # avoids decoding the CDR text of each tail.
         tail = message[at:]
         phase = self._phase_of_tail.get(tail)
         if phase is None:

@@ -29,18 +29,18 @@ class ChunkEntry(NamedTuple):
 
     Attributes:
         start, length: start and length of the chunk's record in the file [bytes].
-        packed, size: compressed and uncompressed size of the messages [bytes].
-        first, last: times of the first and last message [ns].
-        indexes: length of the message indexes after the chunk [bytes].
+        packed_size, size: compressed and uncompressed size of the messages [bytes].
+        first_ns, last_ns: times of the first and last message [ns].
+        index_size: length of the message indexes after the chunk [bytes].
     """
 
     start: int
     length: int
-    packed: int
+    packed_size: int
     size: int
-    first: int
-    last: int
-    indexes: int
+    first_ns: int
+    last_ns: int
+    index_size: int
 
 
 class ChunkTable:
@@ -81,11 +81,11 @@ class ChunkTable:
                 chunk_length=chunk.length,
                 chunk_start_offset=chunk.start,
                 compression="lz4",
-                compressed_size=chunk.packed,
-                message_end_time=chunk.last,
-                message_index_length=chunk.indexes,
+                compressed_size=chunk.packed_size,
+                message_end_time=chunk.last_ns,
+                message_index_length=chunk.index_size,
                 message_index_offsets={channel: end + at for channel, at in layouts[layout]},
-                message_start_time=chunk.first,
+                message_start_time=chunk.first_ns,
                 uncompressed_size=chunk.size,
             )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 CONTROL_PACKAGES = ("hand", "drives", "safety", "core", "programs", "controller")
 """Packages whose code runs in a re-execution of a log."""
 UNKNOWN = "?"
-"""Code identity for a log without such an entry."""
+"""Code identity reported for a log that does not contain one."""
 
 
 @functools.cache
@@ -18,8 +18,8 @@ def code_identity() -> str:
     """Return the first twelve hexadecimal digits of a hash over the sources of the control packages."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    # Sorted paths and NUL separators: the hash depends on names and contents only, not on the file
-    # system.
+    # Sorted paths and NUL separators make the hash depend only on names and contents, not on the
+    # order in which the file system lists the files.
     for path in sorted(path for name in CONTROL_PACKAGES for path in (package / name).rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:12]

@@ -97,11 +97,10 @@ class Container:
     """MCAP file that is being written, without a buffer.
 
     Attributes:
-        good: length of the file up to the end of the last complete record [bytes].
+        complete_size: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: a write fails (from every writing method). Only `cut_back` may be called
-            afterwards.
+        OSError: a write fails (from every writing method). After this error only `cut_back` may be called.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -113,7 +112,7 @@ class Container:
         self._fd = descriptor
         self._crc = 0
         self._at = 0
-        self.good = 0
+        self.complete_size = 0
         self._summary = _Summary()
         self._write_bytes(MAGIC + records_as_bytes([Header("ros2", "handctl")]))
 
@@ -132,15 +131,15 @@ class Container:
             self._at += written
             view = view[written:]
         self._crc = zlib.crc32(data, self._crc)
-        # Set only after the last byte: `cut_back` returns to here.
-        self.good = self._at
+        # This is set only after the last byte, so that `cut_back` removes an incomplete record.
+        self.complete_size = self._at
         return start
 
     def cut_back(self) -> None:
         """Remove the remains of a failed write after the last complete record."""
-        os.ftruncate(self._fd, self.good)
-        os.lseek(self._fd, self.good, os.SEEK_SET)
-        self._at = self.good
+        os.ftruncate(self._fd, self.complete_size)
+        os.lseek(self._fd, self.complete_size, os.SEEK_SET)
+        self._at = self.complete_size
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment."""

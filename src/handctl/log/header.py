@@ -10,19 +10,19 @@ from handctl.errors import LogError
 from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.printing import escape_surrogates
 
-TRUTH_OFFSET = "truth_offset_ns"
+TRUTH_OFFSET_KEY = "truth_offset_ns"
 """Metadata key for the simulator's time at t = 0 of a lockstep run [ns].
 
 Commissioning before the run advances the simulator's time.
 """
-PERIODS_NS = (10_000, 10_000_000_000)
+PERIOD_RANGE_NS = (10_000, 10_000_000_000)
 """Shortest and longest accepted tick period in a log [ns]."""
 LATEST_NS = 1 << 62
 """Latest accepted time in a log [ns].
 
-The sum of two such times fits into 64 bits, and so does UNIX time until the year 2116.
+The sum of two such times fits into 64 bits. As UNIX time the limit is in the year 2116.
 """
-NAMES = ("joints", "tendons", "motors", "digits", "buses")
+NAME_LISTS = ("joints", "tendons", "motors", "digits", "buses")
 """Keys of a header whose value is a list of names."""
 MAX_NAMES = 1000
 """Largest length of a list of names."""
@@ -107,11 +107,11 @@ class RunHeader:
             KeyError: a value is missing.
         """
         run = {name: json.loads(text) for name, text in record.items()}
-        names = {part: _checked_names(part, run[part]) for part in NAMES}
+        names = {part: _checked_names(part, run[part]) for part in NAME_LISTS}
         return cls(
             attachments.get("hand.toml", b"").decode(),
             **names,
-            period_ns=_checked_integer("period_ns", run["period_ns"], *PERIODS_NS),
+            period_ns=_checked_integer("period_ns", run["period_ns"], *PERIOD_RANGE_NS),
             offset_ns=_checked_integer("offset_ns", run["offset_ns"], 0, LATEST_NS),
             metadata=metadata.get("handctl", {}),
             gains=metadata.get("handctl.gains", {}),
@@ -127,9 +127,9 @@ class RunHeader:
         Raises:
             LogError: the value in the log is not such a time.
         """
-        text = self.metadata.get(TRUTH_OFFSET, "0")
+        text = self.metadata.get(TRUTH_OFFSET_KEY, "0")
         if not (text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= LATEST_NS):
-            raise LogError(f"{TRUTH_OFFSET} = {text}", "the log", f"a whole number from 0 to {LATEST_NS}")
+            raise LogError(f"{TRUTH_OFFSET_KEY} = {text}", "the log", f"a whole number from 0 to {LATEST_NS}")
         return int(text)
 
     def axis(self, name: str) -> tuple[str, ...]:
@@ -159,7 +159,7 @@ class RunHeader:
         for name, size in fields["attachments"].items():
             attachments[name] = rest[at : at + size]
             at += size
-        names = {part: tuple(fields[part]) for part in NAMES}
+        names = {part: tuple(fields[part]) for part in NAME_LISTS}
         return cls(**(fields | names | {"attachments": attachments}))
 
 

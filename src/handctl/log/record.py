@@ -57,7 +57,7 @@ SNAPSHOT = 4
 FILE = 5
 """Kind of the record before the header: path of the log, and free space at which it ends early [bytes], as JSON."""
 SNAPSHOT_HEAD = struct.Struct("<qq")
-"""Layout of the start of a snapshot record: number and time [ns] of the tick before the state."""
+"""Layout of the start of a snapshot record: number and time [ns] of the tick. The state after this tick follows."""
 
 SIZES = struct.Struct("<IHHHH")
 """Layout of the start of a tick's body: size of the Tick message, lengths of the telemetry axes."""
@@ -136,7 +136,7 @@ def _long_data(records: Records) -> bytes:
 def _tail_without_events(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
-    At every offset divisible by four these bytes are the same, so they are cached.
+    These bytes are equal at every offset divisible by four, so they are cached.
     """
     out = CdrWriter()
     out.text(phase)
@@ -264,7 +264,7 @@ def message_layout(message: bytes) -> MessageLayout:
     sent_end = sent_start + FRAME_SIZE * sent
     (size,) = _COUNT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
-    # The long bytes end anywhere. The text behind them is aligned to 4.
+    # The long bytes may end at any offset. The text after them is aligned to 4 bytes.
     return MessageLayout(slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4)
 
 

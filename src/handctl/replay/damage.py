@@ -10,7 +10,7 @@ from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.reader import VALUES_END, VALUES_START
 from handctl.log.read.record_scan import RecordScan
 from handctl.log.read.recover import scan_damaged
-from handctl.log.topics.chain import SIZE, TOPIC, tick_hash
+from handctl.log.topics.chain import HASH_SIZE, TOPIC, tick_hash
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 
 NO_CHANNEL = -1
@@ -50,7 +50,7 @@ def first_damage(path: Path) -> str:
             except LogError as error:
                 return f"{error}; its chunk begins {_position_text(before)}"
             for tick in ticks:
-                if before and tick.digest and tick_hash(before[-SIZE:], tick.message, tick.numbers) != tick.digest:
+                if before and tick.digest and tick_hash(before[-HASH_SIZE:], tick.message, tick.numbers) != tick.digest:
                     return f"tick {tick.k} was changed after it was written" + (f": {defect}" if defect else "")
                 before = tick.k.to_bytes(8, "little") + tick.digest
             if defect:
@@ -96,7 +96,7 @@ def _chunk_ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]
     for message, values, digest in zip(messages, values_of, digests, strict=True):
         # The tick number follows the four bytes of CDR encapsulation.
         k = int.from_bytes(message[4:12], "little", signed=True)
-        yield _Tick(k, message, values[VALUES_START:VALUES_END], digest[-SIZE:])
+        yield _Tick(k, message, values[VALUES_START:VALUES_END], digest[-HASH_SIZE:])
 
 
 def _position_text(before: bytes) -> str:

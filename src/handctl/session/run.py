@@ -18,9 +18,9 @@ from handctl.controller.tick import Controller
 from handctl.core.types import IoEvent, TickIn, TickOut
 from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
-from handctl.log.header import TRUTH_OFFSET
+from handctl.log.header import TRUTH_OFFSET_KEY
 from handctl.log.record import pack_snapshot, pack_tick_record
-from handctl.log.topics.snapshots import PERIOD_NS
+from handctl.log.topics.snapshots import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.calibration import Calibration
 from handctl.programs.live import LiveProgram, import_spline
@@ -197,7 +197,7 @@ def run_lockstep(
     """
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
-    start_offset = {TRUTH_OFFSET: str(clock.offset_ns)}
+    start_offset = {TRUTH_OFFSET_KEY: str(clock.offset_ns)}
     recorder = Recorder.start(log, replace(header, metadata=header.metadata | start_offset))
     display = plan.display(plan) if plan.display else None
     limit = HoldLimit()
@@ -253,12 +253,12 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, State], None]:
     """Return a function that records a snapshot of the state after a tick, once per second."""
-    due_ns = PERIOD_NS
+    due_ns = SNAPSHOT_PERIOD_NS
 
     def keep(entry: TickIn, state: State) -> None:
         nonlocal due_ns
         if entry.t_ns >= due_ns:
-            due_ns = entry.t_ns + PERIOD_NS
+            due_ns = entry.t_ns + SNAPSHOT_PERIOD_NS
             recorder.record(pack_snapshot(entry, snapshot_bytes(state)))
 
     return keep

@@ -78,7 +78,7 @@ class GainsStore:
     def set_aside(self) -> Path | None:
         """Rename the file of the present gains if it cannot be used, and return the new path.
 
-        If the file can be used, None is returned. After the renaming, rollback works again.
+        If the file can be used, None is returned. A damaged file prevents a rollback until it is renamed.
 
         Raises:
             ConfigError: The file cannot be renamed.
@@ -164,19 +164,19 @@ class GainsStore:
         text = gains_text(gains, written)
         try:
             self.history.mkdir(parents=True, exist_ok=True)
-            # The history first: a crash between the two writes leaves the present gains as they
-            # were.
+            # The history is written first. A crash between the two writes then leaves the present
+            # gains unchanged.
             write_text_atomically(self.history / f"{written.number:04d}.toml", text, new=True)
             write_text_atomically(self.path, text)
         except OSError as error:
-            raise ConfigError(f"cannot be written: {error.strerror}", str(self.path), "a folder to write in") from None
+            raise ConfigError(f"cannot be written: {error.strerror}", str(self.path), "a writable folder") from None
         return load_gains_file(self.path)
 
 
 def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int:
     """Return the number of the gains that were present before the present gains.
 
-    After a rollback the restored number counts as the present number.
+    After a rollback the number of the restored gains counts as the present number.
 
     Raises:
         ConfigError: The present gains are the packaged ones again, or the history has a gap.
@@ -191,5 +191,5 @@ def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int
             )
         provenance = entries[provenance.restores].file.provenance
     if provenance.restores == 0:
-        raise ConfigError("the packaged gains are the first", "rollback", "handctl gains rollback --to N")
+        raise ConfigError("no gains precede the packaged gains", "rollback", "handctl gains rollback --to N")
     return provenance.replaces

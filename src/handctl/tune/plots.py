@@ -31,7 +31,7 @@ def _new_figure(width: float, height: float) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
-    # A canvas of its own needs neither a display nor pyplot's global state.
+    # A separate canvas needs neither a display nor pyplot's global state.
     FigureCanvasAgg(figure)
     return figure
 
@@ -169,10 +169,10 @@ def draw_verify(
         hand: hand of the run.
         truth: ground truth of the simulator, None on hardware.
         offset_ns: time of the run's t = 0 on the simulator's clock [ns].
-        rollback: return to the old gains, or None.
+        rollback: return to the old gains during the run, or None.
     """
     figure = _new_figure(12, 7.5)
-    figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new ones shaded")
+    figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new gains shaded")
     angle, tension, torque = figure.subplots(3, 1, sharex=True)
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name)))[:, 0] for name in ("q_goal", "q"))
     angle.plot(log.times, goal, "--", color=GREY, label="command")
@@ -182,7 +182,7 @@ def draw_verify(
     if truth is not None:
         t_ns = log.t_ns + offset_ns
         true_angle = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))[:, 0]
-        angle.plot(log.times, np.degrees(true_angle), color=TRUTH_COLOR, linewidth=0.7, label="truth of the plant")
+        angle.plot(log.times, np.degrees(true_angle), color=TRUTH_COLOR, linewidth=0.7, label="true angle of the plant")
         tension.plot(
             log.times,
             truth.at(f"tension/{hand.tendon_names[0]}", t_ns),

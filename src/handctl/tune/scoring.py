@@ -62,9 +62,10 @@ class Score:
     def cost(self, scale: "Score") -> float:
         """Return the cost of the score as one number, relative to another score.
 
-        Tracking and tension decide. The effort decides between gains that are alike in both.
+        Tracking and tension have most of the weight. The effort decides between gains with similar tracking
+        and tension.
         """
-        # Weights 1, 1 and 0.1, and 2.1 is their sum, so the reference costs 1.
+        # The weights are 1, 1 and 0.1. Their sum is 2.1, so the cost of the reference is 1.
         parts = [
             objective / max(other, 1e-9) for objective, other in zip(self.objectives, scale.objectives, strict=True)
         ]
@@ -82,7 +83,7 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     Returns:
         A `Score` as a table.
     """
-    hand = hand_from_content(tomllib.loads(job["hand"]), "the hand on trial")
+    hand = hand_from_content(tomllib.loads(job["hand"]), "the hand of the search")
     gains = Gains.model_validate(job["gains"])
     model = HandModel.of(hand, gains, float(job["rate_hz"]))
     plants = job["plants"]
@@ -103,7 +104,7 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
                     runs[-1].failure,
                 )
             )
-    # Root mean square over the plants, so the worst plants weigh most.
+    # In the root mean square over the plants, the worst plants have the largest weight.
     tracking, tension, effort = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
     return _score_table(Score(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
 
@@ -145,10 +146,10 @@ def simulate_program(
     ticks: Ticks = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         file = Path(folder) / "truth"
-        twin = Simulator(hand, seed=seed, perturb=factors, homed=True, truth=file)
+        simulator = Simulator(hand, seed=seed, perturb=factors, homed=True, truth=file)
         state = simulate(
             homed_controller(model, program, hand),
-            twin,
+            simulator,
             lambda entry, out: ticks.append((entry, out)),
         )
         return ticks, read_truth(file), state.failure

@@ -82,7 +82,7 @@ class VerifyObserver:
         limits: limits of the new gains.
         amplitudes: amplitudes of the rounds of the exercise.
         old_rounds: number of rounds with the old gains.
-        returned: return to the old gains, or None if it was not necessary.
+        rollback: return to the old gains, or None if it was not necessary.
     """
 
     hand: Hand
@@ -91,7 +91,7 @@ class VerifyObserver:
     limits: VerifyLimits = VerifyLimits()
     amplitudes: tuple[float, ...] = AMPLITUDES
     old_rounds: int = OLD_ROUNDS
-    returned: Rollback | None = None
+    rollback: Rollback | None = None
     _round: int = 0
     _phase: str = ""
     _requests: list[str] = field(default_factory=list)
@@ -116,13 +116,13 @@ class VerifyObserver:
         ringing = self._torque_rate(entry, out)
         if self._round <= self.old_rounds:
             self._max_ringing = max(self._max_ringing, ringing)
-        elif self.returned is None and (reason := self._violated_limit(out, ringing)):
+        elif self.rollback is None and (reason := self._violated_limit(out, ringing)):
             amplitude = self.amplitudes[self._round - 1]
-            self.returned = Rollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
+            self.rollback = Rollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
             self._request_gains(self.old, self.new)
 
     def _request_gains(self, gains: Gains, replaced: Gains) -> None:
-        """Queue a request for the gains that a running controller accepts, in place of others."""
+        """Queue a request that replaces gains by other gains, as far as a running controller accepts them."""
         # A running controller keeps the forces of single tendons that a request does not set.
         all_values = values_by_key(gains) | {key: new for key, (_, new) in different_values(replaced, gains).items()}
         values = {key: value for key, value in all_values.items() if key.partition(".")[0] in LIVE_SECTIONS}
@@ -135,7 +135,7 @@ class VerifyObserver:
         self._torque = torque
         if before is None or out.mode != Mode.ACTIVE:
             return 0.0
-        # The mean period so far: the observer knows no control rate.
+        # The observer does not know the control rate, so it uses the mean period so far.
         period = entry.t_ns / max(entry.k, 1) / 1e9
         self._rates.append(float(np.square(torque - before).mean()) / period**2)
         while len(self._rates) > WINDOW_S / period:
@@ -162,7 +162,7 @@ class VerifyObserver:
         return f"motor torques oscillate by {ringing:.1f} N m/s, limit {limit:.1f}" if ringing > limit else ""
 
 
-COLUMNS = {
+MEASURES = {
     "tracking_deg": ("tracking", "deg"),
     "tension_N": ("tension", "N"),
     "effort_Nm_per_s": ("effort", "N m/s"),
@@ -170,13 +170,13 @@ COLUMNS = {
 }
 """Name and unit of each measure, by its field in `Score`."""
 ONE_RUN_SPREAD = 0.1
-"""Spread assumed for a measure if there is only one run, as a fraction of the value."""
+"""Spread assumed for a measure if there is only one run, as a fraction of the old value."""
 MIN_DIFFERENCE = 0.02
 """Smallest difference that is not judged "same", as a fraction of the old value."""
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class MeasureComparison:
     """Comparison of old and new gains in one measure, at full amplitude.
 
     Attributes:
@@ -196,14 +196,14 @@ class Column:
     verdict: str
 
 
-def compare_rounds(runs: list[list[Score]]) -> list[Column]:
+def compare_rounds(runs: list[list[Score]]) -> list[MeasureComparison]:
     """Compare the new gains' round at full amplitude with the old gains' round, run by run.
 
     Args:
         runs: scores of the rounds of each run.
     """
     columns = []
-    for key, (name, unit) in COLUMNS.items():
+    for key, (name, unit) in MEASURES.items():
         old = np.array([getattr(rounds[OLD_ROUNDS - 1], key) for rounds in runs])
         new = np.array([getattr(rounds[-1], key) for rounds in runs])
         n = len(runs)
@@ -214,7 +214,7 @@ def compare_rounds(runs: list[list[Score]]) -> list[Column]:
         )
         counts = abs(change) > max(spread, MIN_DIFFERENCE * mean)
         verdict = ("worse" if change > 0.0 else "better") if counts else "same"
-        columns.append(Column(name, unit, mean, float(new.mean()), spread, verdict))
+        columns.append(MeasureComparison(name, unit, mean, float(new.mean()), spread, verdict))
     return columns
 
 

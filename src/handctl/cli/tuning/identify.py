@@ -179,7 +179,7 @@ def _report_results(
     identified = previous_identified(path, hand, calibration.drive if calibration else {}, print_notice)
     every = [one for tendons in results.values() for one in tendons.values()]
     spoilt = {one.data.digit: one.blocked for one in every if one.blocked}
-    met = {one.data.digit: one.met for one in every if one.met and not one.blocked}
+    met = {one.data.digit: one.contact for one in every if one.contact and not one.blocked}
     any_identified = False
     for log, tendons in results.items():
         new = {name: one.identified(log, made) for name, one in tendons.items()}

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     Fails if the margins are too small.
     """
     from handctl.tune.loops.design import Design, design_gains, linear_factors, model_with_gains
-    from handctl.tune.loops.steps import Proof
+    from handctl.tune.loops.steps import RestTest
     from handctl.tune.plots import draw_loops
 
     if args.poles is None and args.damping != 1.0:
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     factors = plants_of(args, spread, 1024)
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.of(twin, gains, rate)
-    proof = Proof(twin, factors, plants, args.seed)
+    proof = RestTest(twin, factors, plants, args.seed)
     console = rich_console(error=True)
     console.quiet = is_quiet()
     with console.status(f"keeping margins on {len(plants)} plants"):
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
     write_gains(out, result.gains, hand, note, fit=args.fit)
     draw_loops(picture, model, after, f"{hand.name} at {rate:g} Hz")
-    good = result.worst_after.enough
+    good = result.worst_after.are_sufficient
     if args.json:
         print_json(_result_fields(result, out, picture, rate, len(plants)))
     else:
@@ -112,7 +112,7 @@ def _result_fields(result: Any, out: Path, picture: Path, rate: float, plants: i
         "after": {f"{name}/{kind}": asdict(one) for (name, kind), one in result.after.items()},
         "worst_before": asdict(result.worst_before),
         "worst_after": asdict(result.worst_after),
-        "enough": result.worst_after.enough,
+        "enough": result.worst_after.are_sufficient,
     }
 
 

@@ -91,10 +91,10 @@ def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_fil
     with RunLog(log) as record:
         rounds = scores_by_round(record, plan.hand, truth, outcome.offset_ns)
         picture = log.with_suffix(".png")
-        draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, observer.returned)
+        draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, observer.rollback)
     return {
-        "through": observer.returned is None and not outcome.state.failure and len(rounds) == len(AMPLITUDES),
-        "returned": asdict(observer.returned) if observer.returned else None,
+        "through": observer.rollback is None and not outcome.state.failure and len(rounds) == len(AMPLITUDES),
+        "returned": asdict(observer.rollback) if observer.rollback else None,
         "failure": outcome.state.failure,
         "rounds": rounds,
         "judged_by": "truth" if truth else "estimates",

@@ -1,7 +1,7 @@
 """Camera videos of a LeRobot dataset: one video frame for each frame of an episode, with statistics.
 
-The program ``ffmpeg`` decodes and encodes the videos. A frame of the dataset gets the latest frame
-that the camera had taken at its time.
+The program ``ffmpeg`` decodes and encodes the videos. Each frame of the dataset gets the latest camera
+frame that is not later than the dataset frame.
 
 Layout: LeRobot 0.4, ``datasets/lerobot_dataset.py`` and ``video_utils.py``: one file for each
 episode, statistics per colour channel of values from 0 to 1.
@@ -23,10 +23,13 @@ VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILES_PER_CHUNK = 1000
 """Number of videos in one folder."""
 LONGEST_GAP_S = 0.5
-"""Longest time before the first and after the last frame of a camera for which this frame is used [s]."""
+"""Longest time without camera frames at the start or end of an episode [s].
+
+The first or last camera frame fills this time.
+"""
 STATISTICS_WIDTH = 160
 """Width of the images from which statistics are computed [pixels]."""
-LEVELS = 256
+CHANNEL_LEVELS = 256
 """Number of values of a colour channel."""
 
 
@@ -73,7 +76,7 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
     Args:
         names: name of each camera.
         videos: video files of each camera, one for each log.
-        starts_s: time of the first video frame in each run [s]. One value counts for all.
+        starts_s: time of the first video frame in each run [s]. A single value applies to all runs.
         logs: number of logs.
 
     Raises:
@@ -115,7 +118,8 @@ def write_episode_video(source: Path, target: Path, first_s: float, frames: int,
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     if first_s < -LONGEST_GAP_S:
-        raise LogError(f"the video begins {-first_s:.2f} s after the episode", str(source), "a video of the whole run")
+        late = f"the video begins {-first_s:.2f} s after the start of the episode"
+        raise LogError(late, str(source), "a video of the whole run")
     filters = [
         f"setpts=PTS-STARTPTS-({first_s:.9f}/TB)",
         f"fps=fps={fps}:start_time=0:round=up",
@@ -126,14 +130,15 @@ def write_episode_video(source: Path, target: Path, first_s: float, frames: int,
     _ffmpeg(source, *encode, "-pix_fmt", "yuv420p", str(target))
     width, height, _ = next(_images(target, "null"))
     scaled = f"scale=min({STATISTICS_WIDTH}\\,iw):-2"
-    histogram = np.zeros((3, LEVELS), np.int64)
+    histogram = np.zeros((3, CHANNEL_LEVELS), np.int64)
     count = 0
     for _, _, pixels in _images(target, scaled):
-        histogram += [np.bincount(channel, minlength=LEVELS) for channel in pixels.reshape(-1, 3).T]
+        histogram += [np.bincount(channel, minlength=CHANNEL_LEVELS) for channel in pixels.reshape(-1, 3).T]
         count += 1
     if count < frames:
         missing = (frames - count) / fps + LONGEST_GAP_S
-        raise LogError(f"the video ends {missing:.2f} s before the episode", str(source), "a video of the whole run")
+        early = f"the video ends {missing:.2f} s before the end of the episode"
+        raise LogError(early, str(source), "a video of the whole run")
     return EpisodeVideo(height, width, count, histogram)
 
 
@@ -146,11 +151,11 @@ def _ffmpeg(source: Path, *words: str) -> None:
     command = ["ffmpeg", "-nostdin", "-v", "error", "-y", "-i", str(source), *words]
     ran = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if ran.returncode != 0:
-        raise _unreadable(source, ran.stderr)
+        raise _unreadable_video_error(source, ran.stderr)
 
 
-def _unreadable(source: Path, stderr: str) -> LogError:
-    """Return the error for a video that ffmpeg does not read."""
+def _unreadable_video_error(source: Path, stderr: str) -> LogError:
+    """Return the error for a video that ffmpeg cannot read."""
     reason = printable_text((stderr.strip().splitlines() or ["no reason"])[-1])
     return LogError(f"ffmpeg: {reason}", str(source), "a video that ffmpeg reads")
 
@@ -174,7 +179,7 @@ def _images(source: Path, filters: str) -> Any:
         finally:
             process.kill()
         if number == 0:
-            raise _unreadable(source, process.stderr.read().decode(errors="replace"))
+            raise _unreadable_video_error(source, process.stderr.read().decode(errors="replace"))
 
 
 def _read_ppm(stream: IO[bytes]) -> tuple[int, int, NDArray[np.uint8]] | None:
@@ -194,7 +199,7 @@ def histogram_statistics(histogram: NDArray[np.int64], frames: int, percents: Se
         frames: number of images.
         percents: percentiles to compute.
     """
-    values = np.arange(LEVELS) / (LEVELS - 1)
+    values = np.arange(CHANNEL_LEVELS) / (CHANNEL_LEVELS - 1)
     total = histogram.sum(axis=1)
     mean = histogram @ values / total
     spread = np.sqrt(np.maximum(histogram @ values**2 / total - mean**2, 0.0))

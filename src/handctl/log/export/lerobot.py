@@ -145,7 +145,8 @@ def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps:
         written.append(write_episode_video(camera.videos[number], target, first_s, episode.frames, fps))
         sizes = [f"{one.width} x {one.height}" for one in (written[0], written[-1])]
         if sizes[0] != sizes[1]:
-            raise LogError(f"a video of {sizes[1]} pixels", str(camera.videos[number]), f"{sizes[0]}, as the first")
+            expected = f"{sizes[0]}, as in the first video"
+            raise LogError(f"a video of {sizes[1]} pixels", str(camera.videos[number]), expected)
     return written
 
 
@@ -169,17 +170,17 @@ def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
 
 
 def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str) -> None:
-    """Refuse a log that does not belong into the dataset of the first log.
+    """Check that a log has the hand and the control rate of the first log of the dataset.
 
     Raises:
-        LogError: it has another hand, or another rate.
+        LogError: the log has another hand or another control rate.
     """
     hands = [printable_text(str(one.header.metadata.get("hand"))) for one in (first, log)]
     if hands[0] != hands[1] or not same_names:
-        raise LogError(f"a run of hand {hands[1]}", where, f"one of hand {hands[0]}, as the first")
+        raise LogError(f"a run of hand {hands[1]}", where, f"a run of hand {hands[0]}, as in the first log")
     if first.header.period_ns != log.header.period_ns:
         rates = [1e9 / one.header.period_ns for one in (first, log)]
-        raise LogError(f"a run at {rates[1]:g} Hz", where, f"one at {rates[0]:g} Hz, as the first")
+        raise LogError(f"a run at {rates[1]:g} Hz", where, f"a run at {rates[0]:g} Hz, as in the first log")
 
 
 def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:

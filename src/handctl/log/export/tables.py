@@ -133,9 +133,9 @@ def export_candump(log: RunLog, path: Path) -> int:
 def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     """Yield time [ns], direction, and frame of all frames in the order of time.
 
-    The time of a received frame is its arrival. The time of a sent frame is the start of its tick,
-    or the latest arrival in this tick if that is later. On a local bus frames arrive when the tick
-    reads them, after the start of the tick.
+    The time of a received frame is the time of its arrival. The time of a sent frame is the start of
+    its tick or the latest arrival in this tick, whichever is later. On a local bus frames arrive when
+    the tick reads them, after the start of the tick.
     """
     pending: list[tuple[int, str, Frame]] = []
     complete_ns = 0
@@ -146,8 +146,8 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         pending += [(frame.t_ns, "R", frame) for frame in received]
         pending += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
         pending.sort(key=itemgetter(0))
-        # A frame of the next tick arrives after the start of this tick. One more tick is waited for,
-        # since the kernel may hand a frame over a little after its stamp.
+        # A frame of the next tick arrives after the start of this tick. The kernel may deliver a frame
+        # a little after its time stamp, so frames are yielded one tick later.
         ready = bisect_left(pending, complete_ns, key=itemgetter(0))
         yield from pending[:ready]
         pending = pending[ready:]
@@ -161,8 +161,7 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
     Source: can-utils `lib.c`, `snprintf_canframe`.
     """
     # Eight hexadecimal digits mark an extended identifier or an error frame, three digits a
-    # standard
-    # identifier.
+    # standard identifier.
     long_id = frame.can_id & (EXTENDED | ERROR)
     can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"
     data = frame.data.hex().upper()
@@ -171,5 +170,5 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
     else:
         body = f"#R{len(frame.data) or ''}" if frame.can_id & REMOTE else f"#{data}"
     bus = buses[frame.bus] if frame.bus < len(buses) else "unknown"
-    # can-utils counts in microseconds; the clock of a run may begin before its first frame
+    # can-utils writes microseconds. A frame may have a negative time, which is written as 0.
     return f"({max(t_ns, 0) // 10**9}.{max(t_ns, 0) % 10**9 // 1000:06d}) {bus} {can_id}{body} {direction}\n"

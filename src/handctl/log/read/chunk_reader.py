@@ -95,7 +95,7 @@ def iter_messages(content: bytes, packed: int, channels: frozenset[int] | None =
     while at < len(content):
         remaining -= 1
         if remaining < 0:
-            raise ValueError("more messages than the size of the chunk explains")
+            raise ValueError("more messages than a chunk of this size may contain")
         code, length = _RECORD.unpack_from(content, at)
         size = _RECORD.size + length
         if at + size > len(content):

@@ -19,7 +19,7 @@ from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.timeline import Gap, LoggedEvent, PhaseChange
 from handctl.log.record import TickRecord, message_layout, unpack_tick, unpack_ticks
-from handctl.log.topics.chain import SIZE
+from handctl.log.topics.chain import HASH_SIZE
 from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
 from handctl.log.topics.clock_pairs import ClockPair, decode_clock_pair
@@ -31,12 +31,12 @@ from handctl.printing import printable_text
 
 Array = NDArray[np.float64]
 
-_MAX_PHASES = 1000
+_MAX_CACHED_TAILS = 1000
 """Largest number of cached message ends without events."""
 VALUES_START = 4 + 8 + 8 + 8
 """Offset of the values in a StatisticsValues: after encapsulation, stamp, empty frame_id, and length."""
 VALUES_END = -4
-"""Bytes after the values: the version of the names."""
+"""End of the values in a StatisticsValues, counted from the end of the message: names_version follows."""
 _CACHE_BYTES = 64 << 20
 """Largest size of the telemetry held in memory [bytes]."""
 
@@ -51,7 +51,7 @@ def _read_header(scan: RecordScan) -> RunHeader:
 
 
 _SEQUENCE = 0xFFFF_FFFF
-"""Mask of the tick number bits that the sequence number of a message holds."""
+"""Mask of the low bits of a tick number, which a message stores as its sequence number."""
 
 
 class _Index(NamedTuple):
@@ -341,7 +341,7 @@ class RunLog:
         """Yield the chain hash of each tick. Logs of earlier versions have no chain hashes."""
         if CHAIN_TOPIC in self._others:
             for _, rows in self._rows(self._others[CHAIN_TOPIC]):
-                yield from (row[-SIZE:].tobytes() for row in rows.data())
+                yield from (row[-HASH_SIZE:].tobytes() for row in rows.data())
 
     @functools.cached_property
     def clock_pairs(self) -> list[ClockPair]:
@@ -424,7 +424,7 @@ class RunLog:
                     tick = unpack_tick(message)
                     phase = tick.phase
                     events += [LoggedEvent(tick.tick_in.k, tick.tick_in.t_ns, event) for event in tick.events]
-                    if not tick.events and len(phase_of_tail) < _MAX_PHASES:
+                    if not tick.events and len(phase_of_tail) < _MAX_CACHED_TAILS:
                         phase_of_tail[tail] = phase
             if not phases or phases[-1].name != phase:
                 phases.append(PhaseChange(int(self.k[index]), int(self.t_ns[index]), phase))

@@ -133,7 +133,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
                 raise LogError("damaged log: no record here", file.at(at), "an intact file")
             break
         if code == _INDEX and length >= _LENGTHS[_INDEX]:
-            scan.end = end  # nearly all records are these, and nothing is taken from them
+            scan.end = end  # Most records are message indexes. The scan does not use their content.
             continue
         if code == Opcode.DATA_END:
             _check_end(file, scan, at, end, checked)

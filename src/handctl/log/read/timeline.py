@@ -10,9 +10,9 @@ from handctl.core.types import Event
 from handctl.errors import LogError
 
 MAX_PERIODS = 1_000_000
-"""Number of tick periods that every run may last."""
+"""Number of tick periods allowed for every run, also with few ticks in its log."""
 MAX_PERIODS_PER_TICK = 10
-"""Further tick periods that a run may last, per tick in its log."""
+"""Number of additional tick periods allowed for each tick in the log."""
 
 
 class LoggedEvent(NamedTuple):

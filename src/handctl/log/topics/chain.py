@@ -18,13 +18,13 @@ from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import Registry, Stamps, Stream
 
 TOPIC = "/tick/chain"
-SIZE = 8
-"""Size of a hash [bytes]."""
+HASH_SIZE = 8
+"""Size of a chain hash [bytes]."""
 
 
 def first_hash(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
     """Compute the hash before the first tick, over all data of a run except those of machine and date."""
-    digest = hashlib.blake2b(digest_size=SIZE)
+    digest = hashlib.blake2b(digest_size=HASH_SIZE)
     texts = {
         f"{group}.{name}": text.encode("utf-8", "backslashreplace")
         for group, table in (("m", metadata), ("g", gains))
@@ -54,7 +54,7 @@ def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
         message: the Tick message.
         numbers: packed telemetry of the tick.
     """
-    return hashlib.blake2b(before + message + numbers, digest_size=SIZE).digest()
+    return hashlib.blake2b(before + message + numbers, digest_size=HASH_SIZE).digest()
 
 
 def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator[bytes]:
@@ -73,7 +73,7 @@ def chain_message() -> Template:
     """Return the template of a handctl_msgs/Chain."""
     out = TemplateWriter()
     out.header()
-    out.place("digest", "|u1", SIZE)
+    out.place("digest", "|u1", HASH_SIZE)
     return out.template()
 
 
@@ -94,5 +94,5 @@ class ChainTopic:
         numbers = (row.tobytes() for row in batch.numbers)
         hashes = list(tick_hashes(self.last, zip(batch.messages, numbers, strict=True)))
         self.last = hashes[-1]
-        digests: NDArray[np.uint8] = np.frombuffer(b"".join(hashes), np.uint8).reshape(-1, SIZE)
+        digests: NDArray[np.uint8] = np.frombuffer(b"".join(hashes), np.uint8).reshape(-1, HASH_SIZE)
         return [self._stream.block(stamps, {"digest": digests})]

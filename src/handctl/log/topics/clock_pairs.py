@@ -13,9 +13,9 @@ from handctl.log.container import MessageBlock
 from handctl.log.topics.message_streams import Registry, Stamps, variable_length_block
 
 TOPIC = "/clock_pairs"
-PERIOD_NS = 10_000_000_000
+PAIR_PERIOD_NS = 10_000_000_000
 """Interval between pairs [ns]."""
-STEP_NS = 50_000_000
+MIN_STEP_NS = 50_000_000
 """Smallest reported step of the wall clock [ns].
 
 Gradual adjustment (slewing) changes the wall clock by at most 5 ms in ten seconds (adjtimex: 500
@@ -86,6 +86,6 @@ def clock_steps(pairs: Iterable[ClockPair]) -> Iterator[ClockStep]:
     for pair in pairs:
         if before is not None:
             jump = (pair.wall_ns - before.wall_ns) - (pair.monotonic_ns - before.monotonic_ns)
-            if abs(jump) > STEP_NS:
+            if abs(jump) > MIN_STEP_NS:
                 yield ClockStep(pair.t_ns * 1e-9, jump * 1e-9)
         before = pair

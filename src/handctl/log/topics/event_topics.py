@@ -17,7 +17,7 @@ from handctl.log.topics.message_streams import Registry, Stamps, variable_length
 from handctl.programs.requests import is_routine
 from handctl.safety.action import Action
 
-LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+LOG_LEVEL_NUMBERS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Numbers of the levels in rcl_interfaces/Log."""
 _DOUBLE = 3
 _STRING = 4
@@ -35,7 +35,7 @@ def _stamped_writer(t_ns: int) -> CdrWriter:
 def encode_rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
     """Encode a log line as rcl_interfaces/Log."""
     out = _stamped_writer(t_ns)
-    out.put("B", LEVELS.get(level, LEVELS["error"]))
+    out.put("B", LOG_LEVEL_NUMBERS.get(level, LOG_LEVEL_NUMBERS["error"]))
     out.text(name)
     out.text(text)
     out.text("")

@@ -11,7 +11,7 @@ from handctl.log.container import MessageBlock
 from handctl.log.topics.message_streams import Registry, stamps_at, variable_length_block
 
 TOPIC = "/controller/snapshot"
-PERIOD_NS = 1_000_000_000
+SNAPSHOT_PERIOD_NS = 1_000_000_000
 """Interval between snapshots [ns]."""
 _BODY = struct.Struct("<4xII8xqI")
 """Encapsulation, stamp, empty frame_id with padding, tick number, length of the data."""

@@ -35,7 +35,7 @@ ESTIMATES = {
     "/joint_estimate": ("q", "rad"),
     "/tip_force_estimate": ("tip_force", "N"),
 }
-"""Telemetry field with a standard deviation for each topic, and the unit of the field."""
+"""Telemetry field that has a standard deviation, and the unit of the field, by topic."""
 
 SPOOL_PAIRS = "/spool_pairs"
 """Topic of the estimated tensions of both tendons of each spool pair, in logs of hands with spool pairs."""
@@ -53,7 +53,10 @@ _NOTES = {
 
 
 def moment_arms(header: RunHeader) -> Numbers:
-    """Return the moment arms R (N, J) [m]. An arm that depends on the angle counts with the mean over its range."""
+    """Return the moment arms R (N, J) [m].
+
+    A moment arm that depends on the joint angle is replaced by its mean over the joint's range.
+    """
     return _hand_of(header).moment_arms
 
 
@@ -88,7 +91,7 @@ def wrench_template(frame_id: str) -> Template:
 
 
 def statistics_values(number: int) -> Template:
-    """Return the bytes of a pal_statistics_msgs/StatisticsValues without values. Its names_version is 1."""
+    """Return the template of a pal_statistics_msgs/StatisticsValues with `number` values and names_version 1."""
     out = TemplateWriter()
     out.header()
     out.floats("values", number)

@@ -34,7 +34,7 @@ class TargetTopic:
         return [variable_length_block(self._channel, stamps.at(np.array(at, np.intp)), messages)]
 
     def _targets_among(self, requests: tuple[str, ...]) -> Iterator[Target]:
-        """Yield the targets among requests. The names of an opened stream are stored."""
+        """Yield the targets among requests. A request that opens a stream gives the names of its later targets."""
         for text in requests:
             if not is_target(text):
                 request = parse_request(text)

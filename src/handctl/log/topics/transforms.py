@@ -13,7 +13,7 @@ from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import Registry, Stamps, Stream
 
-PERIOD_NS = 20_000_000
+TRANSFORM_PERIOD_NS = 20_000_000
 """Interval between transforms [ns]. 50 Hz is enough for a viewer."""
 ROOT = "palm"
 """Name of the root frame."""
@@ -132,7 +132,7 @@ class TfTopics:
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the /tf messages, one for the first tick in each 50 Hz period."""
-        periods = batch.t_ns // PERIOD_NS
+        periods = batch.t_ns // TRANSFORM_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last))
         self._last = int(periods[-1])
         if not len(selected):

@@ -1,7 +1,8 @@
-"""Start of the recorder process, if wanted before the run that it records is known.
+"""Start of the recorder process, also before the run to be recorded is known.
 
-The process imports for half a second. A verb that records starts it before its own imports (`process_ahead`), so that
-both import at the same time on two cores. This module therefore imports little.
+The recorder process needs half a second for its imports. A verb that records starts this process before
+the verb's own imports (`process_ahead`), so that both import at the same time on two cores. This module
+therefore imports little.
 """
 
 import os
@@ -33,11 +34,11 @@ class RecorderProcess(NamedTuple):
 
 
 _ahead: list[RecorderProcess] = []
-"""Process that was started ahead and not taken yet."""
+"""Recorder process that `process_ahead` has started and no recorder has taken yet."""
 
 
 def start_process() -> RecorderProcess:
-    """Start a recorder process. It ends when the pipe is closed."""
+    """Start a recorder process. The process ends when the pipe is closed."""
     reading, writing = os.pipe()
     # `-P` keeps the working directory out of the import path.
     command = [sys.executable, "-P", "-m", "handctl.log.write.process"]
@@ -53,7 +54,10 @@ def start_process() -> RecorderProcess:
 
 @contextmanager
 def process_ahead() -> Iterator[None]:
-    """Start a recorder process for the first recorder in this block. If no recorder takes it, it is ended after it."""
+    """Start a recorder process for the first recorder in this block.
+
+    If no recorder takes the process, it is ended at the end of the block.
+    """
     _ahead.append(start_process())
     try:
         yield
@@ -63,5 +67,5 @@ def process_ahead() -> Iterator[None]:
 
 
 def take_process() -> RecorderProcess:
-    """Return the process that was started ahead, or start one."""
+    """Return the process that `process_ahead` has started, or start a process."""
     return _ahead.pop() if _ahead else start_process()

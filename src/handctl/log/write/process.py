@@ -25,19 +25,19 @@ from handctl.log.write.writer import LogWriter
 
 READ_BYTES = 1 << 20
 """Largest size of one read [bytes]."""
-NAP_S = 0.01
+PAUSE_S = 0.01
 """Pause after a read of few bytes [s].
 
 After the pause one read gets the records of several ticks. The pipe stays far from full.
 """
-NAP_BELOW_BYTES = 64 << 10
+PAUSE_BELOW_BYTES = 64 << 10
 """Reads below this size are followed by a pause [bytes]."""
-FLUSH_S = 0.15
+MAX_UNWRITTEN_S = 0.15
 """Longest time before a tick is written to the file, in real time [s].
 
 Including the pause, the write, and a busy machine, a killed recorder loses less than 0.25 s.
 """
-SYNC_S = 1.0
+SYNC_PERIOD_S = 1.0
 """Interval between syncs of the file to disk [s]."""
 NICE = -10
 """Scheduling priority of the recorder, above that of other programs where permitted.
@@ -106,24 +106,24 @@ class RecorderSession:
         """Read until the input ends, then close the file."""
         clean = next_sync = time.monotonic()
         while True:
-            if select.select([0], [], [], FLUSH_S)[0]:
+            if select.select([0], [], [], MAX_UNWRITTEN_S)[0]:
                 data = os.read(0, READ_BYTES)
                 if not data:
                     break
                 for kind, body in self._splitter.split(data):
                     self._take_record(kind, body)
-                if len(data) < NAP_BELOW_BYTES:
-                    time.sleep(NAP_S)
+                if len(data) < PAUSE_BELOW_BYTES:
+                    time.sleep(PAUSE_S)
             now = time.monotonic()
-            if self._writer and self._wall_flush and now >= clean + FLUSH_S:
+            if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
                 self._writer.flush()
-            # `clean` is the last time at which no tick waited, so that FLUSH_S counts from the
+            # `clean` is the last time at which no tick waited, so that MAX_UNWRITTEN_S counts from the
             # oldest
             # waiting tick.
             if not (self._writer and self._writer.pending):
                 clean = now
             if self._writer and now >= next_sync:
-                next_sync = now + SYNC_S
+                next_sync = now + SYNC_PERIOD_S
                 self._writer.sync()
         if self._writer:
             send_note({"summary": self._writer.finish(self._reason, self._dropped, self._facts)})

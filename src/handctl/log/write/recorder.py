@@ -30,11 +30,11 @@ FLOOR_BYTES = 64 << 20
 
 Below four times this value a warning is given.
 """
-START_S = 60.0
+START_TIMEOUT_S = 60.0
 """Longest wait for the recorder at the start of a run [s]."""
-CLOSE_S = 20.0
+CLOSE_TIMEOUT_S = 20.0
 """Longest wait for the recorder at the end of a run [s]."""
-LOCKSTEP_WAIT_S = 60.0
+LOCKSTEP_TIMEOUT_S = 60.0
 """Longest wait for the recorder per record in a lockstep run [s]."""
 
 
@@ -98,13 +98,13 @@ class Recorder:
         """Send the header, and wait for the recorder's answer."""
         os.set_blocking(self._pipe, False)
         try:
-            if not self._send(header, START_S):
+            if not self._send(header, START_TIMEOUT_S):
                 raise LogError("the recorder process does not read", str(self._path))
-            self._read_notes(START_S)
+            self._read_notes(START_TIMEOUT_S)
             if not any("ready" in note for note in self._messages):
                 errors = [str(note["error"]) for note in self._messages if "error" in note]
                 if not errors:
-                    ends = "has ended at its start" if self._ended else f"has not started within {START_S:g} s"
+                    ends = "has ended at its start" if self._ended else f"has not started within {START_TIMEOUT_S:g} s"
                     what = f"the recorder process {ends}"
                     raise LogError(what, str(self._path), "a computer with less other load")
                 raise LogError(f"cannot record: {errors[0]}", str(self._path), "a new file in a writable directory")
@@ -156,7 +156,7 @@ class Recorder:
             self.dropped += 1
             return False
         if self._lossless:
-            self._ended = not self._send(data, LOCKSTEP_WAIT_S)
+            self._ended = not self._send(data, LOCKSTEP_TIMEOUT_S)
             self.dropped += self._ended
             return not self._ended
         try:
@@ -248,11 +248,11 @@ class Recorder:
             messages, lost, reason.
         """
         body = json.dumps({"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}).encode()
-        if not self._ended and self._send(self._rest, CLOSE_S):
-            self._send(record_bytes(END, body), CLOSE_S)
+        if not self._ended and self._send(self._rest, CLOSE_TIMEOUT_S):
+            self._send(record_bytes(END, body), CLOSE_TIMEOUT_S)
         os.close(self._pipe)
         try:
-            self._child.wait(CLOSE_S)
+            self._child.wait(CLOSE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()

@@ -13,7 +13,7 @@ from handctl.log.batch import Batcher
 from handctl.log.container import Container, MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.record import SNAPSHOT_HEAD
-from handctl.log.topics.clock_pairs import PERIOD_NS
+from handctl.log.topics.clock_pairs import PAIR_PERIOD_NS
 from handctl.log.topics.snapshots import Snapshot
 from handctl.log.topics.topic_set import Topics
 from handctl.log.write.syncer import sync_now
@@ -58,7 +58,7 @@ class _ReservedSpace:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Reserve the space. A failure is ignored."""
+        """Reserve the space. If this fails, the log is written without reserved space."""
         self._fd = -1
         with suppress(OSError):
             self._fd, name = tempfile.mkstemp(dir=folder)
@@ -84,7 +84,7 @@ class LogWriter:
     Attributes:
         ticks: number of ticks written or waiting for the next chunk.
         lost: number of ticks lost by a failed write, or received after the file was closed.
-        dead: True if the file is closed.
+        closed: True if the file is closed.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class LogWriter:
         self._batcher = Batcher(header)
         self._fd = _create_file(path)
         self._reserved = _ReservedSpace(path.parent)
-        self._warned = self.dead = False
+        self._warned = self.closed = False
         self._mark = -1
         self._first_k = 0
         self._last_k = -1
@@ -159,7 +159,7 @@ class LogWriter:
 
     def add(self, body: bytes) -> None:
         """Add a tick, given as the body of its record."""
-        if self.dead:
+        if self.closed:
             self.lost += 1
             return
         misshapen = self._batcher.misshapen
@@ -176,7 +176,7 @@ class LogWriter:
 
         The snapshot is written with the next chunk.
         """
-        if not self.dead:
+        if not self.closed:
             k, t_ns = SNAPSHOT_HEAD.unpack_from(body)
             self._snapshots.append(self._topics.snapshot(t_ns, Snapshot(k, body[SNAPSHOT_HEAD.size :])))
 
@@ -195,7 +195,7 @@ class LogWriter:
 
     def flush(self) -> None:
         """Write the collected ticks as one chunk."""
-        if self.dead or not self.pending:
+        if self.closed or not self.pending:
             return
         batch = self._batcher.take()
         # Missed ticks are holes in the tick numbers, also between two chunks.
@@ -212,15 +212,15 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """Return a message with both clocks, at most every PERIOD_NS."""
+        """Return a message with both clocks, at most every PAIR_PERIOD_NS."""
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
-        self._next_pair_ns = t_ns + PERIOD_NS
+        self._next_pair_ns = t_ns + PAIR_PERIOD_NS
         return [self._topics.clock_pair(t_ns, self._last_k, *self._clocks())]
 
     def sync(self) -> None:
         """Request a sync to disk, and check the free space."""
-        if self.dead:
+        if self.closed:
             return
         try:
             self._to_disk(self._fd)
@@ -238,14 +238,14 @@ class LogWriter:
     def _stop_early(self, free: int) -> None:
         """Close the file because the disk is nearly full."""
         self.flush()
-        if not self.dead:
+        if not self.closed:
             self._report("disk_full", free)
             with suppress(OSError):
                 self._write_end("disk full", 0)
 
     def _close_after_failure(self, error: OSError) -> None:
         """Close the file after a failed write."""
-        self.dead = True
+        self.closed = True
         self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
         with suppress(OSError):
             self._container.cut_back()
@@ -256,7 +256,7 @@ class LogWriter:
 
         If this fails, the file is truncated after its last complete record.
         """
-        self.dead = True
+        self.closed = True
         self._reserved.release()
         numbers = {
             "ticks": self.ticks,
@@ -288,11 +288,11 @@ class LogWriter:
             facts: facts that are known only at the end of the run, by name.
         """
         self.flush()
-        if not self.dead:
+        if not self.closed:
             try:
                 self._write_end(reason, dropped, facts)
             except OSError as error:
                 self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
         os.close(self._fd)
         numbers = {"ticks": self.ticks, "lost": self.lost, "messages": self._container.messages}
-        return numbers | {"bytes": self._container.good, "path": str(self._path), "reason": reason}
+        return numbers | {"bytes": self._container.complete_size, "path": str(self._path), "reason": reason}

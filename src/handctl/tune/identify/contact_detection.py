@@ -6,9 +6,9 @@ Therefore a ramp that begins at some angle is added to the linearised fit. The s
 the ramp in standard deviations, fitted together with all parameters.
 Source: score test (Rao 1948).
 
-A contact from the open stop on causes no kink. A digit with n joints and one immobile joint behaves
-like a digit with springs n / (n - 1) times as stiff and (n - 1) / n of the preload. The travel
-distinguishes the two cases: if the digit closes farther than n - 1 joints can, all joints move.
+A contact over the whole sweep causes no kink. A digit with n joints, one of them immobile, then behaves
+like a freely moving digit with springs n / (n - 1) times as stiff and (n - 1) / n of the preload. The
+travel distinguishes the two cases: if the digit closes farther than n - 1 joints can, all joints move.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from handctl.tune.identify.data import Array
 
 CONTACT_SCORE = 4.5
 """Smallest score that counts as a contact, for a digit with one tendon."""
-KINK_OF_SEVERAL = 6.0
+MULTI_TENDON_CONTACT_SCORE = 6.0
 """Smallest score that counts as a contact, for a digit with several tendons.
 
 Hands without contact (20 seeds, parameters wrong by up to 30 %) have scores up to 3.1 with one
@@ -28,20 +28,20 @@ tendon and 3.9 with several. With several tendons a ramp is tried at every joint
 joint encoders are neglected. A jamia finger that touches the thumb between 14 and 25 degrees has
 scores from 4.7 to 17.
 """
-NO_CONTACT_SCORE = 3.0
-"""Score below which a fit proves that a digit was not blocked."""
-CLEAR_ROWS = 80
-"""Smallest number of rows in a fit that proves this."""
-CLEAR_SQUARE = 1.5
-"""Largest mean square of the residuals in a fit that proves this."""
-CLEAR_OUTLIERS = 0.005
-"""Largest fraction of outliers among the rows of a fit that proves this."""
+CLEAR_SCORE = 3.0
+"""Score below which a fit may prove that a digit was not blocked."""
+MIN_CLEAR_ROWS = 80
+"""Smallest number of rows in a fit that proves that a digit was not blocked."""
+MAX_CLEAR_MEAN_SQUARE = 1.5
+"""Largest mean square of the residuals in a fit that proves that a digit was not blocked."""
+MAX_CLEAR_OUTLIERS = 0.005
+"""Largest fraction of outliers in a fit that proves that a digit was not blocked."""
 RAMP_STARTS = 40
 """Number of start angles tried for a ramp."""
 END_FRACTION = 0.04
-"""Fraction of the sweep at each end without tried ramps, because only few rows would determine such a ramp."""
+"""Fraction of the sweep at each end in which no ramp may begin, because too few rows would determine it."""
 MIN_OWN_FRACTION = 1e-6
-"""Smallest fraction of a ramp (squared) not explained by the parameters."""
+"""Smallest fraction of the squared norm of a ramp that the parameters do not explain."""
 
 
 class Ramp(NamedTuple):
@@ -54,8 +54,8 @@ class Ramp(NamedTuple):
         rise: tension [N] or joint torque [N m] of the ramp at angle ``end``.
         rows: number of rows in the sweep.
         outliers: fraction of rows excluded by the fit.
-        square: mean square of the residuals without outliers.
-        kink: smallest score that counts as a contact of this digit.
+        mean_square: mean square of the residuals without outliers.
+        contact_score: smallest score that counts as a contact of this digit.
     """
 
     score: float
@@ -64,19 +64,23 @@ class Ramp(NamedTuple):
     rise: float
     rows: int
     outliers: float
-    square: float
-    kink: float
+    mean_square: float
+    contact_score: float
 
     @property
-    def met(self) -> bool:
+    def is_contact(self) -> bool:
         """Return True if the digit has touched an obstacle."""
-        return abs(self.score) >= self.kink
+        return abs(self.score) >= self.contact_score
 
     @property
-    def clear(self) -> bool:
+    def excludes_contact(self) -> bool:
         """Return True if the fit explains the sweep well enough to exclude a contact."""
-        good = self.square <= CLEAR_SQUARE and self.outliers <= CLEAR_OUTLIERS and self.rows >= CLEAR_ROWS
-        return abs(self.score) < NO_CONTACT_SCORE and good
+        good = (
+            self.mean_square <= MAX_CLEAR_MEAN_SQUARE
+            and self.outliers <= MAX_CLEAR_OUTLIERS
+            and self.rows >= MIN_CLEAR_ROWS
+        )
+        return abs(self.score) < CLEAR_SCORE and good
 
 
 def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]) -> Ramp | None:
@@ -115,9 +119,9 @@ def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, un
             if size > MIN_OWN_FRACTION * float(column @ column):
                 score = float(orthogonal @ residual) / size**0.5
                 best = max(best, (score, start, score / size**0.5), key=lambda ramp: abs(ramp[0]))
-    square = float(np.mean(residual[rows][used] ** 2))
-    kink = CONTACT_SCORE if len(units) == 1 else KINK_OF_SEVERAL
-    return Ramp(best[0], best[1], high, best[2], len(angle), 1.0 - float(used.mean()), square, kink)
+    mean_square = float(np.mean(residual[rows][used] ** 2))
+    contact_score = CONTACT_SCORE if len(units) == 1 else MULTI_TENDON_CONTACT_SCORE
+    return Ramp(best[0], best[1], high, best[2], len(angle), 1.0 - float(used.mean()), mean_square, contact_score)
 
 
 def are_joints_moving(joint_count: int, preload: float, half_width: float, travel: float, full: float) -> bool:
@@ -130,6 +134,6 @@ def are_joints_moving(joint_count: int, preload: float, half_width: float, trave
         travel: largest excursion of the digit [m].
         full: excursion with all joints at their closed ends [m].
     """
-    # Halfway between the preload of n moving joints, 1, and that of n - 1, (n - 1) / n.
+    # The limit is halfway between the preload with n moving joints, 1, and with n - 1, (n - 1) / n.
     stiff = 1.0 - 0.5 / joint_count
     return preload + half_width >= stiff or travel > full * (joint_count - 1) / joint_count

@@ -23,12 +23,12 @@ STOP_STEPS = ("stretch",)
 FREE_STEPS = ("sweep",)
 """Names of steps in which the digit moves freely."""
 CONTACT_PHASES = ("close", "open")
-"""Names of steps in which a contact begins or ends, so that the motor force may jump within a sample."""
+"""Names of steps in which a contact begins or ends. The motor force may jump within a sample."""
 SETTLE_S = 0.02
 """Time excluded at the beginning of a step [s]."""
 TRANSIENT_S = 0.35
-"""Time until the digit has opened by its springs or the tendon is slack [s]."""
-STOP_DEG = 2.0
+"""Time until the springs have opened the digit or the tendon is slack [s]."""
+STOP_DISTANCE_DEG = 2.0
 """Distance from a stop within which the stop may carry part of the load [deg]."""
 MIN_TENSION_N = 2.0
 """Tension above which a tendon counts as taut [N]."""
@@ -144,7 +144,7 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
     (digit_file,) = (candidate for candidate in hand.digit if candidate.name == digit)
     # A stop carries a part of the load near the ends of a joint's range.
     q = np.degrees(log.field("q")[:, joints])
-    margin = STOP_DEG
+    margin = STOP_DISTANCE_DEG
     inside = (q > np.array(digit_file.joint_min_deg) + margin) & (q < np.array(digit_file.joint_max_deg) - margin)
     moving = ~np.isnan(log.field("q_goal")[:, joints]).any(axis=1)
     return _lasting_mask(np.asarray(moving & inside.all(axis=1)), round(TRANSIENT_S * 1e9 / log.header.period_ns))

@@ -8,9 +8,9 @@ from handctl.hand.digit import DigitModel
 from handctl.programs.excite import ExciteStep
 from handctl.tune.identify.excitation_antagonists import antagonist_steps
 
-LOW_DEG = 6.0
+SWEEP_MARGIN_DEG = 6.0
 """Margin of free sweeps to the open stop and the closed ends [deg]."""
-HIGH_DEG = 32.0
+SWEEP_TOP_DEG = 32.0
 """Upper end of free sweeps, measured from the open stop [deg].
 
 Beyond this angle the fingers of the packaged hands touch thumb or palm.
@@ -22,7 +22,7 @@ SWING_LOW_HZ = 0.7
 SWING_HIGH_HZ = 6.0
 """Highest frequency of the swing [Hz]."""
 PRESS_FRACTIONS = (0.08, 0.15, 0.5)
-"""Tension at the end of a press, and the two tensions of the press, as fractions of the largest tension.
+"""Tension after the presses, and the lower and upper tension of a press, as fractions of the largest tension.
 
 A motor 30 % weaker than in the hand file reaches only two thirds of the commanded tension. At
 higher tensions the monitor would report a wrong load cell (T04b).
@@ -62,23 +62,21 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
     for name in digits:
         if not is_sprung(hand, name):
             continue
-        if LIFT_FRACTION * (tension := lift_off(hand, name)) < MIN_TENSION_N + MIN_STRETCH_RANGE_N:
+        if LIFT_FRACTION * (tension := lift_off_tension(hand, name)) < MIN_TENSION_N + MIN_STRETCH_RANGE_N:
             min_preload = (MIN_TENSION_N + MIN_STRETCH_RANGE_N) / LIFT_FRACTION
-            problem = f"{tension:.2f} N lifts it off its open stop, too little to stretch its tendon there"
+            problem = f"the digit leaves its open stop at {tension:.2f} N, too low a tension to stretch the tendon"
             raise ConfigError(
                 problem,
                 f"digit {name}",
                 f"springs with a preload of {min_preload:.2f} N or more, or other --digits",
             )
     return tuple(
-        step
-        for name in digits
-        for step in (_digit_steps if is_sprung(hand, name) else antagonist_steps)(hand, name)
+        step for name in digits for step in (_digit_steps if is_sprung(hand, name) else antagonist_steps)(hand, name)
     )
 
 
 def is_sprung(hand: Hand, digit: str) -> bool:
-    """Return True if springs load the tendons of a digit. Otherwise its tendons return it."""
+    """Return True if springs open a digit. Otherwise its tendons open it."""
     return any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
 
 
@@ -107,8 +105,8 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
     low, high = (math.radians(angle) for angle in _sweep_range(hand, digit))
     middle = 0.5 * (low + high)
     swing = math.radians(SWING_DEG)
-    lift = LIFT_FRACTION * lift_off(hand, digit)
-    let_go, soft, hard = (fraction * max_tension for fraction in PRESS_FRACTIONS)
+    lift = LIFT_FRACTION * lift_off_tension(hand, digit)
+    released, soft, hard = (fraction * max_tension for fraction in PRESS_FRACTIONS)
 
     def step(
         name: str,
@@ -143,7 +141,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         step("approach", "move", 0.3, high),
         step("close", "tension", 0.5, soft, 80.0, held=True),
         *presses,
-        step("open", "tension", 0.7, let_go, 60.0, held=True),
+        step("open", "tension", 0.7, released, 60.0, held=True),
         step("open", "move", 0.5, low),
         step("rest", "limp", 0.1),
     ]
@@ -154,10 +152,10 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
     digit_file = hand.digit_named(digit)
     lower = max(digit_file.joint_min_deg)
     upper = min(digit_file.joint_max_deg)
-    return lower + LOW_DEG, min(lower + HIGH_DEG, upper - LOW_DEG)
+    return lower + SWEEP_MARGIN_DEG, min(lower + SWEEP_TOP_DEG, upper - SWEEP_MARGIN_DEG)
 
 
-def lift_off(hand: Hand, digit: str) -> float:
+def lift_off_tension(hand: Hand, digit: str) -> float:
     """Return the tension at which a joint leaves its open stop, without friction and weight [N]."""
     digit_file = hand.digit_named(digit)
     model = DigitModel.of(hand, digit)

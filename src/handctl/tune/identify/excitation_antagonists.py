@@ -1,8 +1,8 @@
-"""Excitation of a digit whose tendons return it: n + 1 tendons without springs, or spool pairs.
+"""Excitation of a digit that tendons close and open: n + 1 tendons without springs, or spool pairs.
 
-The digit sweeps about a posture, with its joints in step and against each other, so that every tendon
-winds while others pay out. Then it swings, and at last its tendons are stretched while it rests on its
-lower stops.
+The digit sweeps about a posture. Its joints first move together, then against each other, so that every
+tendon winds while others pay out. Then the digit swings. At the end its tendons are stretched while the
+digit rests on its lower stops.
 """
 
 import math
@@ -16,13 +16,13 @@ from handctl.hand.tree import HandTree
 from handctl.programs.excite import ExciteStep
 
 LOWEST_DEG = 0.0
-"""Smallest joint angle of the sweeps [deg]. Below it a thumb may touch its palm."""
+"""Smallest joint angle of the sweeps [deg]. Below this angle a thumb may touch the palm."""
 HIGHEST_DEG = 32.0
-"""Largest joint angle of the sweeps [deg]. Beyond it the packaged hands touch thumb or palm."""
+"""Largest joint angle of the sweeps [deg]. Beyond this angle fingers of the packaged hands touch thumb or palm."""
 STOP_MARGIN_DEG = 6.0
 """Smallest distance of the sweeps from the joint limits [deg]."""
 SIDEWAYS_DEG = (-2.0, 12.0)
-"""Ends of sweeps that move a digit sideways [deg], near each other because of its neighbours."""
+"""Ends of sweeps that move a digit sideways [deg]. The range is small because of the neighbouring digits."""
 SWEEP_S = (0.8, 0.45, 0.45)
 """Durations of the moves from one end of a sweep to the other [s]."""
 SWING_DEG = 9.0
@@ -34,47 +34,50 @@ SWING_LOW_HZ = 0.7
 SWING_HIGH_HZ = 6.0
 """Highest frequency of the swing [Hz]."""
 SWING_TORQUE = 0.25
-"""Largest part of a motor's torque that the swing may need."""
-PULL_FRACTION = 0.3
+"""Largest torque of the swing, as a fraction of the motor's largest torque."""
+STRETCH_FRACTION = 0.3
 """Largest tension of a stretch, as a fraction of the largest tension.
 
-The tendons that hold the digit open bear it for seconds. With more, a motor that makes 30 % less torque than
-commanded would be reported as a wrong load cell (T04b) or as an oscillation (N14b).
+The tendons that hold the digit open have this tension for seconds. At higher tensions a motor that makes 30 % less
+torque than commanded would be reported as a wrong load cell (T04b) or as an oscillation (N14b).
 """
-LOW_FRACTION = 0.07
+PAIR_LOW_FRACTION = 0.07
 """Smallest net tension of a stretched spool pair, as a fraction of the largest tension."""
 CLOSE_FRACTION = 0.12
 """Net tension with which spool pairs move their digit to its lower stops, as a fraction of the largest tension."""
 CLOSE_S = 2.5
-"""Time for this motion [s]. The control law damps it."""
+"""Time for the motion of spool pairs to the lower stops [s]. The control law damps this motion."""
 OPEN_S = 1.5
-"""Time for the way back [s]."""
-HOLD_RATIO = 0.7
-"""Largest torque of a stretched tendon, as a fraction of the torque with which the others open the digit."""
-TAUT_RATIO = 1.3
-"""Tensions that take up slack, as a multiple of the smallest ones that hold each other."""
+"""Time for the motion of spool pairs back from the lower stops [s]."""
+MAX_TORQUE_RATIO = 0.7
+"""Largest torque of a stretched tendon, as a fraction of the torque with which the other tendons open the digit."""
+TAUT_TENSION_RATIO = 1.3
+"""Tensions that take up slack, as a multiple of the smallest tensions in balance with each other."""
 COUNTER_MOTION_FRACTION = 0.5
-"""Part of the amplitude with which a coordinate moves against the others.
+"""Amplitude of a coordinate that moves against the others, as a fraction of the full amplitude.
 
-All of it would leave tendons at rest that pass both joints.
+With the full amplitude, tendons that pass both joints would not move.
 """
 RATE_N_PER_S = 250.0
-"""Rate of the tension while a tendon is stretched [N/s]. The spool then turns faster than its friction needs."""
+"""Rate of the tension while a tendon is stretched [N/s].
+
+At this rate the spool is so fast that the sign of its friction is known.
+"""
 SETTLE_S = 0.06
 """Time after a stretch [s]."""
 STRETCHES = 5
-"""Number of stretches of each tendon up and down."""
+"""Number of stretches up and down of each tendon that is not a spool pair."""
 PAIR_STRETCHES = 10
-"""The same, of spool pairs. All pairs of a digit are stretched at once."""
-PAIR_FRACTION = 0.65
+"""Number of stretches up and down of the spool pairs of a digit. All pairs are stretched at once."""
+PAIR_HIGH_FRACTION = 0.65
 """Largest net tension of a stretched spool pair, as a fraction of the largest tension.
 
-It must be well beyond twice the pretension, where one of the two tendons is slack.
+Beyond twice the pretension one of the two tendons is slack. This tension must be well beyond that point.
 """
 
 
 def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
-    """Return the steps of a digit whose tendons return it.
+    """Return the steps of a digit that tendons close and open.
 
     Args:
         hand: description.
@@ -100,7 +103,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     rest, stretches = _stretched_tensions(hand, digit)
     pairs = bool(hand.is_pair[digit.tendons].any())
     _, largest = _limits(hand, digit)
-    onto_stop = -CLOSE_FRACTION / PULL_FRACTION * largest if pairs else stretches[0][0]
+    onto_stop = -CLOSE_FRACTION / STRETCH_FRACTION * largest if pairs else stretches[0][0]
     stretch_steps = []
     for lower, upper in stretches:
         duration = float(np.abs(upper - lower).max()) / RATE_N_PER_S + SETTLE_S
@@ -134,10 +137,10 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
 
 
 def _sign_patterns(count: int) -> list[Array]:
-    """Return the signs (count,) with which the coordinates move: all alike, then each one against the others."""
+    """Return factors (count,) on the motion of the coordinates: all together, then each one against the others."""
     patterns = [np.ones(count)]
     if count > 1:
-        # With two coordinates, one against the other is the same as the other against the one.
+        # With two coordinates a single pattern has both opposite motions.
         patterns += [
             np.where(np.arange(count) == i, -COUNTER_MOTION_FRACTION, 1.0) for i in range(count if count > 2 else 1)
         ]
@@ -164,26 +167,27 @@ def _limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
     """Return floor and largest tension of the stretches of a digit's tendons, (n_t,) each [N]."""
     tendons = hand.tendon[digit.tendons]
     floor = np.array([tendon.tension_floor_N for tendon in tendons])
-    return floor, PULL_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
+    return floor, STRETCH_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
 
 
 def _balance(hand: Hand, digit: DigitModel) -> Array:
-    """Return tensions (n_t,) above the floor that hold each other [N]."""
+    """Return tensions (n_t,) above the floor whose joint torques cancel [N]."""
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
     ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon])
-    return TAUT_RATIO * redundancy_of_hand((digit,), floor, ceiling, hand.is_pair).balance
+    return TAUT_TENSION_RATIO * redundancy_of_hand((digit,), floor, ceiling, hand.is_pair).balance
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return the tensions of the resting digit, and those before and after each stretch on its lower stops [N].
+    """Return the tensions of the digit at rest, and the tensions before and after each stretch on its lower stops [N].
 
-    All spool pairs are stretched at once. Of other tendons the openers are stretched at once, then each
-    tendon that closes the digit alone, up to a torque at which the openers still hold it open.
+    All spool pairs are stretched at once. Without spool pairs, all tendons that open the digit are stretched
+    at once. Then each tendon that closes the digit is stretched alone, up to a torque at which the opening
+    tendons still hold the digit open.
     """
     floor, largest = _limits(hand, digit)
     if hand.is_pair[digit.tendons].any():
-        whole = largest / PULL_FRACTION
-        return np.zeros(len(whole)), [(-LOW_FRACTION * whole, -PAIR_FRACTION * whole)]
+        whole = largest / STRETCH_FRACTION
+        return np.zeros(len(whole)), [(-PAIR_LOW_FRACTION * whole, -PAIR_HIGH_FRACTION * whole)]
     arms = digit.reduced_moment_arms
     opens = arms.sum(axis=1) < 0.0
     hold = np.where(opens, largest, floor)
@@ -193,7 +197,7 @@ def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tupl
         without = np.where(np.arange(len(hold)) == i, 0.0, hold)
         opening = -(arms.T @ without)
         closing = np.maximum(arms[i], 0.0)
-        most = float((HOLD_RATIO * opening[closing > 0.0] / closing[closing > 0.0]).min())
+        most = float((MAX_TORQUE_RATIO * opening[closing > 0.0] / closing[closing > 0.0]).min())
         upper = hold.copy()
         upper[i] = max(min(most, float(largest[i])), float(floor[i]))
         stretches.append((hold, upper))

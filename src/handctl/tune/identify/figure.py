@@ -7,7 +7,7 @@ import numpy as np
 
 from handctl.core.identified import UNITS
 from handctl.output import save_figure
-from handctl.tune.identify.fit import LOAD_PARAMETERS, NAMES, stop_stiffness
+from handctl.tune.identify.fit import LOAD_PARAMETERS, PARAMETER_NAMES, stop_stiffness
 from handctl.tune.identify.fit_load import LoadParameters
 from handctl.tune.identify.identify import BAND_HZ, TendonResult
 
@@ -50,7 +50,7 @@ def _draw_time(axis: Any, result: TendonResult) -> None:
 
 
 def _drift_at(result: TendonResult, t: Any) -> Any:
-    return np.interp(t, result.fit.problem.knots, result.fit.z[len(NAMES) :])
+    return np.interp(t, result.fit.problem.knots, result.fit.z[len(PARAMETER_NAMES) :])
 
 
 def _draw_stop(axis: Any, result: TendonResult) -> None:
@@ -87,7 +87,7 @@ def _draw_free(axis: Any, result: TendonResult) -> None:
     if not len(bins.t) or problem.load is None:
         axis.text(0.5, 0.5, "no such data", ha="center", transform=axis.transAxes)
         return
-    p = result.fit.z[: len(NAMES)] * problem.nominal
+    p = result.fit.z[: len(PARAMETER_NAMES)] * problem.nominal
     model = problem.load.tension(LoadParameters(*p[LOAD_PARAMETERS].tolist()), bins)
     axis.plot(
         1e3 * bins.travel,
@@ -144,8 +144,8 @@ def _draw_parameters(axis: Any, result: TendonResult) -> None:
     low = 0.4
     high = 1.6
     for row, name in enumerate(names):
-        scale = nominal[NAMES.index(name)]
-        identified = name in result.judged.names
+        scale = nominal[PARAMETER_NAMES.index(name)]
+        identified = name in result.identifiability.names
         color = MEASURED if identified else WARN
         if identified:
             low = min(low, (values[name] - widths[name]) / scale)

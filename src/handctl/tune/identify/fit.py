@@ -21,7 +21,7 @@ from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters, bins
 from handctl.tune.identify.fit_motor import MotorWindows, motor_windows
 from handctl.tune.identify.solve import Solution, solve_least_squares
 
-NAMES = (
+PARAMETER_NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
     "tendon_stiffness", "spring_stiffness", "spring_preload", "capstan", "joint_damping", "link_mass",
     "stretch_offset", "stop_softness", "moment_arm", "pretension",
@@ -30,8 +30,8 @@ NAMES = (
 
 The drift of the load cell comes after these.
 """
-LOAD_PARAMETERS = slice(NAMES.index("tendon_stiffness"), NAMES.index("stretch_offset") + 1)
-"""Places of the parameters of `fit_load.LoadParameters`."""
+LOAD_PARAMETERS = slice(PARAMETER_NAMES.index("tendon_stiffness"), PARAMETER_NAMES.index("stretch_offset") + 1)
+"""Indexes of the parameters in `fit_load.LoadParameters`."""
 SCALE_DELAY_S = 1e-3
 """Scale of the delay [s]."""
 SCALE_OFFSET_M = 1e-4
@@ -39,14 +39,14 @@ SCALE_OFFSET_M = 1e-4
 PRIOR = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 100.0}
 """Prior standard deviation of parameters with prior knowledge, divided by the scale of the parameter.
 
-Masses are weighed, so they are well known. The stretch offset is practically unknown.
+The masses of the links were weighed, so they are well known. The stretch offset is practically unknown.
 """
 STOP_SOFTNESS = 0.04
-"""Compliance of the open stop, as a fraction of the tendon's in the hand file, with an uncertainty of half.
+"""Compliance of the open stop, as a fraction of the tendon's compliance in the hand file.
 
-This is an assumption, because for the load cell tendon and stop are springs in series, and no
-measurement separates the two. In the packaged simulator the compliance of the stops at the tendon
-is 3.8e-7 m/N, or 0.038 of the tendon's.
+Tendon and stop are springs in series, and no measurement separates the two. Therefore this value is an
+assumption with an uncertainty of half the value. In the packaged simulator the compliance of the stops
+at the tendon is 3.8e-7 m/N, which is 0.038 of the tendon's compliance.
 """
 DEFAULT_PRIOR_DEVIATION = 3.0
 """Prior relative standard deviation of all other parameters.
@@ -60,8 +60,8 @@ DRIFT_KNOT_S = 1.0
 STOP_BIN_S = 0.05
 """Length of bins at the open stop [s].
 
-At the stop the travel changes slowly. Only in a bin of this length does it pass enough encoder
-counts for the quantisation to average out.
+At the stop the travel changes slowly. In a bin of this length the travel passes enough encoder counts
+for the quantisation to average out.
 """
 MIN_SCALE = 0.02
 """Lower bound of scaled parameters."""
@@ -131,39 +131,39 @@ class Problem:
             slack=bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
             knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
             sigma=_cell_noise(data.tension[data.slack | stop], hand.sensor_node.tension_noise_N),
-            # A random walk: its standard deviation grows with the root of time, and the file states
-            # it for 100 s.
+            # The drift is a random walk, whose standard deviation grows with the square root of time.
+            # The hand file has the standard deviation after 100 s.
             step=max(hand.sensor_node.tension_bias_drift_N, 1e-3) * (DRIFT_KNOT_S / 100.0) ** 0.5,
         )
 
     def start(self) -> Array:
         """Return the initial scaled parameters (15 + k,), taken from the hand file."""
-        first = np.ones(len(NAMES))
-        first[NAMES.index("delay")] = 1.0
-        first[NAMES.index("stretch_offset")] = self._first_offset() / SCALE_OFFSET_M
+        first = np.ones(len(PARAMETER_NAMES))
+        first[PARAMETER_NAMES.index("delay")] = 1.0
+        first[PARAMETER_NAMES.index("stretch_offset")] = self._first_offset() / SCALE_OFFSET_M
         return np.append(first, np.zeros(len(self.knots)))
 
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters. Physical sizes stay positive."""
-        free = np.full(len(NAMES) + len(self.knots), np.inf)
+        free = np.full(len(PARAMETER_NAMES) + len(self.knots), np.inf)
         low = -free
         high = free
-        sized = [i for i, name in enumerate(NAMES) if name not in ("delay", "stretch_offset")]
+        sized = [i for i, name in enumerate(PARAMETER_NAMES) if name not in ("delay", "stretch_offset")]
         low[sized] = MIN_SCALE
         high[sized] = MAX_SCALE
         return low, high
 
     def _first_offset(self) -> float:
         """Return the stretch offset from data at the stop [m], or from the smallest travel in free motion."""
-        stiffness = self.nominal[NAMES.index("tendon_stiffness")]
+        stiffness = self.nominal[PARAMETER_NAMES.index("tendon_stiffness")]
         if len(self.stop.t):
             return float(np.mean(self.stop.travel - self.stop.tension / stiffness))
         return float(self.free.travel.min()) if len(self.free.t) else 0.0
 
     def residuals(self, z: Array) -> Array:
         """Return the residuals (rows,) in standard deviations: motor, stop, slack, free, drift, priors."""
-        p = z[: len(NAMES)] * self.nominal
-        drift = z[len(NAMES) :]
+        p = z[: len(PARAMETER_NAMES)] * self.nominal
+        drift = z[len(PARAMETER_NAMES) :]
         return np.concatenate([*self._data_residuals(p, drift), *self._prior_residuals(z, drift)])
 
     def _data_residuals(self, p: Array, drift: Array) -> list[Array]:
@@ -188,8 +188,8 @@ class Problem:
         rows = [
             (
                 self.stop,
-                stop_stiffness(stiffness, p[NAMES.index("stop_softness")], self.nominal)
-                * (self.stop.travel - p[NAMES.index("stretch_offset")]),
+                stop_stiffness(stiffness, p[PARAMETER_NAMES.index("stop_softness")], self.nominal)
+                * (self.stop.travel - p[PARAMETER_NAMES.index("stretch_offset")]),
             ),
             (self.slack, np.zeros_like(self.slack.t)),
         ]
@@ -203,8 +203,8 @@ class Problem:
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
         """Return the residuals of drift and prior knowledge."""
-        spread = np.array([PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in NAMES])
-        return [np.diff(drift) / self.step, drift[:1] / TARE_SIGMA_N, (z[: len(NAMES)] - 1.0) / spread]
+        spread = np.array([PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES])
+        return [np.diff(drift) / self.step, drift[:1] / TARE_SIGMA_N, (z[: len(PARAMETER_NAMES)] - 1.0) / spread]
 
 
 def parameter_scales(hand: Hand, tendon: str) -> Array:
@@ -223,7 +223,7 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
 def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
     """Return the stiffness of tendon and stop in series [N/m]."""
     # Compliances in series add up.
-    return stiffness / (1.0 + softness * stiffness / float(nominal[NAMES.index("tendon_stiffness")]))
+    return stiffness / (1.0 + softness * stiffness / float(nominal[PARAMETER_NAMES.index("tendon_stiffness")]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,8 +250,8 @@ class Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """Return the parameters. Those that scale a value of the hand file have no unit, the others SI units."""
-        return dict(zip(NAMES, (self.z[: len(NAMES)] * self.problem.nominal).tolist(), strict=True))
+        """Return the parameters in SI units. Factors on a value of the hand file have no unit."""
+        return dict(zip(PARAMETER_NAMES, (self.z[: len(PARAMETER_NAMES)] * self.problem.nominal).tolist(), strict=True))
 
     @property
     def half_widths(self) -> dict[str, float]:
@@ -263,16 +263,16 @@ class Fit:
 
         Source: Sidak (1967), conservative for parameters that are not independent.
         """
-        spread = np.sqrt(np.diag(self.covariance))[: len(NAMES)] * self.problem.nominal
-        wide = student.ppf(0.5 + 0.5 * CONFIDENCE ** (1.0 / count), self.freedom[: len(NAMES)])
-        return dict(zip(NAMES, (wide * spread).tolist(), strict=True))
+        spread = np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)] * self.problem.nominal
+        wide = student.ppf(0.5 + 0.5 * CONFIDENCE ** (1.0 / count), self.freedom[: len(PARAMETER_NAMES)])
+        return dict(zip(PARAMETER_NAMES, (wide * spread).tolist(), strict=True))
 
 
 def fit_tendon(problem: Problem) -> Fit:
     """Fit all parameters of a tendon."""
     times = _row_times(problem)
     solution = solve_least_squares(problem.residuals, problem.start(), problem.bounds(), times)
-    sensitivity = solution.jacobian[: len(times), : len(NAMES)]
+    sensitivity = solution.jacobian[: len(times), : len(PARAMETER_NAMES)]
     ramp = _unexplained_ramp(problem, solution)
     return Fit(
         problem,
@@ -292,8 +292,11 @@ def _unexplained_ramp(problem: Problem, solution: Solution) -> Ramp | None:
     if load is None or not len(free.t):
         return None
     first = len(problem.motor.t) + len(problem.stop.t) + len(problem.slack.t)
-    offset = float(solution.z[NAMES.index("stretch_offset")]) * SCALE_OFFSET_M
-    stiffness = float(solution.z[NAMES.index("tendon_stiffness")] * problem.nominal[NAMES.index("tendon_stiffness")])
+    offset = float(solution.z[PARAMETER_NAMES.index("stretch_offset")]) * SCALE_OFFSET_M
+    stiffness = float(
+        solution.z[PARAMETER_NAMES.index("tendon_stiffness")]
+        * problem.nominal[PARAMETER_NAMES.index("tendon_stiffness")]
+    )
     angle = load.mean_angle(free.travel - offset - free.tension / stiffness)
     unit = np.full(len(free.t), free.count**0.5 / problem.sigma)
     return steepest_ramp(solution.jacobian, solution.residual, first, np.asarray(angle), (unit,))
@@ -324,11 +327,11 @@ def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ..
     Args:
         fit: fit of one tendon.
         solution: result of the other fit.
-        rows: number of its data rows.
-        names: names of the parameters.
-        source: their places in the solution.
+        rows: number of data rows of the other fit.
+        names: names of the parameters to replace.
+        source: indexes of these parameters in the solution.
     """
-    target = [NAMES.index(name) for name in names]
+    target = [PARAMETER_NAMES.index(name) for name in names]
     z = fit.z.copy()
     covariance = fit.covariance.copy()
     freedom = fit.freedom.copy()
@@ -337,7 +340,7 @@ def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ..
     # The two fits are independent, so parameters of one have no covariance with those of the other.
     covariance[target, :] = covariance[:, target] = 0.0
     covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
-    rows_added = np.zeros((rows, len(NAMES)))
+    rows_added = np.zeros((rows, len(PARAMETER_NAMES)))
     rows_added[:, target] = solution.jacobian[:rows, source]
     return replace(
         fit,
@@ -349,7 +352,9 @@ def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ..
 
 
 def with_model_error(fit: Fit, errors: Mapping[str, float]) -> Fit:
-    """Return a fit whose variances include errors of the model, which the scatter of the residuals does not show.
+    """Return a fit whose variances include errors of the model.
+
+    The scatter of the residuals does not show these errors.
 
     Args:
         fit: fit of a tendon.
@@ -357,6 +362,6 @@ def with_model_error(fit: Fit, errors: Mapping[str, float]) -> Fit:
     """
     covariance = fit.covariance.copy()
     for name, error in errors.items():
-        place = NAMES.index(name)
+        place = PARAMETER_NAMES.index(name)
         covariance[place, place] += (error * fit.z[place]) ** 2
     return replace(fit, covariance=covariance)

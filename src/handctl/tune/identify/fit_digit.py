@@ -4,9 +4,10 @@
 
 This is the balance of joint i in free motion. The exponent contains the wrap angle and the joint
 angles passed by tendon j up to joint i. The drift of the load cells comes from the fits of the
-tendons. The rows of the fit are torque balances, divided by their noise, which the load cells
-cause. Source: as in `fit_load`. Errors of joint encoders have a tenth of the effect of load-cell
-errors here, and are neglected.
+tendons. The rows of the fit are torque balances, divided by the noise that the load cells cause in
+them. Errors of the joint encoders are neglected, because they have a tenth of the effect of load-cell
+errors.
+Source: as in `fit_load`.
 """
 
 from collections.abc import Sequence
@@ -19,7 +20,15 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.tune.identify.contact_detection import Ramp, steepest_ramp
 from handctl.tune.identify.data import Array, TendonData, average_samples
-from handctl.tune.identify.fit import DEFAULT_PRIOR_DEVIATION, MAX_SCALE, MIN_SCALE, NAMES, PRIOR, Fit, merge_solution
+from handctl.tune.identify.fit import (
+    DEFAULT_PRIOR_DEVIATION,
+    MAX_SCALE,
+    MIN_SCALE,
+    PARAMETER_NAMES,
+    PRIOR,
+    Fit,
+    merge_solution,
+)
 from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
 from handctl.tune.identify.solve import Solution, solve_least_squares
 
@@ -50,22 +59,22 @@ class Balance:
         t: (m,) time [s].
         q: (m, joints) joint angles [rad].
         dq: (m, joints) joint rates [rad/s].
-        rigid: (m, joints) torque of inertia and weight [N m].
+        rigid_body_torque: (m, joints) torque of inertia and weight [N m].
         tension: (m, tendons) load-cell tension, corrected for drift [N].
         side: (m, tendons) sign of the tendon speeds.
         noise: (tendons,) noise of the averaged load cells [N].
-        doubt: (tendons,) standard deviation of the load cells' remaining drift [N].
+        drift_sigma: (tendons,) standard deviation of the load cells' remaining drift [N].
     """
 
     digit: DigitModel
     t: Array
     q: Array
     dq: Array
-    rigid: Array
+    rigid_body_torque: Array
     tension: Array
     side: Array
     noise: Array
-    doubt: Array
+    drift_sigma: Array
 
     @staticmethod
     def of(digit: DigitModel, data: Sequence[TendonData], fits: Sequence[Fit]) -> "Balance | None":
@@ -94,17 +103,19 @@ class Balance:
             return None
         q = first_tendon.joints[selected]
         dq, ddq = _joint_rates(digit, q, speed[selected], acceleration[selected])
-        rigid = [inverse_dynamics(digit, *row) for row in zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)]
+        rigid_body_torque = [
+            inverse_dynamics(digit, *row) for row in zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
+        ]
         return Balance(
             digit=digit,
             t=first_tendon.t[selected],
             q=q,
             dq=dq,
-            rigid=np.array(rigid),
+            rigid_body_torque=np.array(rigid_body_torque),
             tension=tension[selected],
             side=np.sign(speed[selected]),
             noise=np.array([f.problem.sigma for f in fits]) / (2 * reach + 1) ** 0.5,
-            doubt=np.array([_drift_deviation(f, first_tendon.t[selected]) for f in fits]),
+            drift_sigma=np.array([_drift_deviation(f, first_tendon.t[selected]) for f in fits]),
         )
 
     def pull(self, friction: Array, offset: Array) -> Array:
@@ -144,7 +155,7 @@ class Balance:
         """Return the torque (m, joints) of springs, damping, inertia and weight [N m], for factors on the hand file."""
         digit = self.digit
         springs = spring * np.array(digit.spring_stiffness) * (self.q + preload * np.array(digit.spring_preload))
-        return np.asarray(springs + damping * np.array(digit.joint_damping) * self.dq + mass * self.rigid)
+        return np.asarray(springs + damping * np.array(digit.joint_damping) * self.dq + mass * self.rigid_body_torque)
 
 
 def _joint_rates(digit: DigitModel, q: Array, speed: Array, acceleration: Array) -> tuple[Array, Array]:
@@ -185,7 +196,7 @@ def fit_digit(balance: Balance) -> Solution:
             [
                 (imbalance @ whiten).ravel(),
                 (z[: n + tendons] - 1.0) / spread,
-                offset / balance.doubt,
+                offset / balance.drift_sigma,
             ]
         )
 
@@ -196,9 +207,9 @@ def fit_digit(balance: Balance) -> Solution:
 
 
 def fits_with_digit(fits: Sequence[Fit], solution: Solution, balance: Balance) -> list[Fit]:
-    """Return the tendons' fits with the digit's parameters.
+    """Return the fits of the tendons with the parameters of the digit's fit.
 
-    Each tendon gets its capstan coefficient, the first tendon also the shared factors.
+    Each tendon gets its capstan coefficient. The first tendon also gets the shared factors.
     """
     rows = len(balance.t) * balance.q.shape[1]
     fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in fits]
@@ -222,7 +233,7 @@ def _friction_scales(digit: DigitModel) -> Array:
 
 
 def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
-    """Return those indices that are at least `spacing` apart, so that no sample is used twice."""
+    """Return indices that are at least `spacing` apart, so that no sample is used twice."""
     selected: list[int] = []
     for index in indices.tolist():
         if not selected or index - selected[-1] >= spacing:
@@ -246,11 +257,11 @@ def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
 
 def _cell_drift(data: TendonData, fit: Fit) -> Array:
     """Return the drift of a tendon's load cell at each sample [N]."""
-    return np.asarray(np.interp(data.t, fit.problem.knots, fit.z[len(NAMES) :]))
+    return np.asarray(np.interp(data.t, fit.problem.knots, fit.z[len(PARAMETER_NAMES) :]))
 
 
 def _drift_deviation(fit: Fit, t: Array) -> float:
     """Return the standard deviation of a tendon's load-cell drift while the digit moves freely [N]."""
     knots = fit.problem.knots
-    used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(NAMES)
+    used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(PARAMETER_NAMES)
     return max(float(np.sqrt(np.diag(fit.covariance)[used].mean())), 1e-3)

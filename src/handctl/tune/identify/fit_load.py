@@ -7,9 +7,9 @@ At the open stop only the tendon stretches: f = k (x - o). In free motion each j
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 
 and the joints' excursions and the tendon's stretch add up to the travel: sum r_i q_i + f / k = x -
-o. An arm that depends on the joint angle has its integral in place of r_i q_i. The equations are
-solved for f, because the encoder's noise is negligible beside the load cell's. S, P, m scale
-springs, preloads and masses of the hand file.
+o. If a moment arm depends on the joint angle, its integral replaces r_i q_i. The equations are solved
+for f, because the noise of the encoder is negligible compared with the noise of the load cell. S, P, m
+scale springs, preloads and masses of the hand file.
 Source: capstan equation, virtual work, equations of motion of `hand.dynamics`.
 """
 
@@ -40,7 +40,10 @@ NEWTON_STEPS = 14
 STEP_RAD = 1e-4
 """Step of the numerical derivative of a moment arm [rad]."""
 MIN_STIFFNESS_FRACTION = 0.2
-"""Smallest stiffness of a joint less that of its growing moment arm, as a fraction of its spring."""
+"""Smallest effective stiffness of a joint, as a fraction of its spring's stiffness.
+
+A moment arm that grows with the angle reduces the effective stiffness.
+"""
 MAX_FRICTION_EXPONENT = 3.0
 """Bound for the exponent of the capstan equation.
 

@@ -18,8 +18,8 @@ from handctl.tune.identify.data import Array, TendonData
 HALF_WINDOW_S = 0.022
 """Half the length of a window [s].
 
-A window of this length passes the motion of a hand's motor, and contains ten load-cell samples at
-500 Hz.
+The bandwidth of a window of this length covers the motion of a hand's motor. Half a window contains
+eleven load-cell samples at 500 Hz.
 """
 MIN_HALF_SAMPLES = 6
 """Smallest half length of a window in samples.
@@ -28,7 +28,7 @@ The half length is a whole number of samples. Otherwise the sums would not be eq
 integrals.
 """
 SPACING_FRACTION = 0.4
-"""Distance of windows, as a fraction of their half length."""
+"""Distance between the centres of windows, as a fraction of their half length."""
 MIN_SPEED_RAD_S = 0.25
 """Smallest speed of the spool [rad/s]. At lower speeds the sign of the friction is not known."""
 

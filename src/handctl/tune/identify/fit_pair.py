@@ -4,14 +4,14 @@
     F = n(load; p, mu)                                     free motion
     g(F; k, p) = x - m s(q) - o                            on a stop, and in free motion
 
-F is the net tension at the spool. In free motion it balances inertia, weight and damping of the links
-and the friction of both tendons, n. The stretch of the pair, which is the difference between spool and
-joints, follows from F by the characteristic g: the stiffness is 2 k while both tendons are taut, and k
+F is the net tension at the spool. In free motion F balances n, which has inertia, weight and damping of
+the links and the friction of both tendons. The stretch of the pair is the difference between spool and
+joints. It follows from F by the characteristic g: the stiffness is 2 k while both tendons are taut, and k
 beyond twice the pretension p.
 
-Nothing here measures a force: the torque of the drive is the unit of all forces. If a motor makes 10 %
-less torque than commanded, then its inertia, its friction and the stiffness of its tendons seem 10 %
-larger.
+No sensor of a spool pair measures a force, so the torque of the drive is the unit of all forces. If a motor
+makes 10 % less torque than commanded, then its inertia, its friction and the stiffness of its tendons seem
+10 % larger.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALE,
     MIN_SCALE,
-    NAMES,
+    PARAMETER_NAMES,
     SCALE_OFFSET_M,
     Fit,
     Problem,
@@ -48,37 +48,42 @@ PAIR_PARAMETERS = (
 )  # fmt: skip
 """Names of the parameters of this fit.
 
-Two more come after these: inertia that the model does not have, and the time difference of the encoders.
+Two more parameters follow: link inertia missing from the model, and the time difference of the encoders.
 """
 PAIR_PRIOR = {
     "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "tendon_stiffness": 1.0, "stretch_offset": 100.0,
 }  # fmt: skip
 """Prior standard deviation of parameters, divided by the scale of the parameter.
 
-The masses of the links are weighed, but in the units of this fit they are divided by the torque gain.
-The damping of a joint and the viscous friction of its motor have the same effect. Without knowledge of the
-pretension a pair of twice the stiffness could be one with a slack tendon.
+The masses of the links were weighed, but in the units of this fit they are divided by the torque gain.
+The damping of a joint and the viscous friction of its motor have the same effect. Without a prior for the
+pretension, a pair with two taut tendons could not be distinguished from a pair of twice the stiffness with
+one slack tendon.
 """
 PAIR_MODEL_ERROR = {
     "motor_coulomb": 0.025, "capstan": 0.03, "pretension": 0.03, "tendon_stiffness": 0.01,
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
 
-Friction of motor and tendons act together. Chosen with five simulated hands.
+The data separate the friction of the motor poorly from the friction of the tendons. The values were chosen
+with five simulated hands.
 """
-LOAD_DOUBT = 0.05
-"""Standard deviation of the inertia of the links that the model does not have, as a fraction of the rotor's.
+LOAD_INERTIA_SIGMA = 0.05
+"""Standard deviation of the link inertia missing from the model, as a fraction of the rotor's inertia.
 
-Rotor and links accelerate together, so nothing but the model of the links separates the two.
+Rotor and links accelerate together, so only the model of the links separates their inertias.
 """
 FIRST_NOISE_N = 0.3
-"""Standard deviation of the motor equation in the first fit [N]. The second fit uses that of the residuals."""
+"""Standard deviation of the motor equation in the first fit [N].
+
+The second fit uses the standard deviation of the first fit's residuals.
+"""
 MIN_NOISE_N = 0.02
 """Smallest standard deviation of the motor equation [N]."""
 START_FACTORS = (1.0, 1.5, 2.2)
 """Factors on the pretension of the hand file from which the fit begins."""
 MIN_READINGS = 3
-"""Smallest number of joint readings in a window whose stretch is used."""
+"""Smallest number of joint readings in a window for its stretch to be used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +91,14 @@ class PairWindows:
     """Windowed signals of a spool pair, (m,) each.
 
     Attributes:
-        motor: windows of the motor equation. Their tension is not known.
+        motor: windows of the motor equation. The tension of these windows is unknown.
         free: True in free motion, False while the pair is stretched on a stop.
         inertial: net tension at the joints for inertia and weight [N].
         damping: net tension at the joints for joint damping [N].
         angle: wrap angle of the pair [rad].
         developed: fraction of the friction of the tendons that is developed, with its sign.
         travel: mean travel at the times of the joint readings [m].
-        excursion: mean excursion of these readings by the hand file [m], NaN with too few.
+        excursion: mean excursion at the joint readings by the hand file [m], NaN with too few readings.
         readings: number of joint readings.
     """
 
@@ -116,7 +121,7 @@ class PairWindows:
             digit: model of the digit.
             tendon: index of the pair in the digit.
             data: data of all pairs of the digit, in order.
-            rest: (J,) angles of all joints [rad], those of the other digits do not change.
+            rest: (J,) angles of all joints [rad]. The joints of the other digits do not move.
 
         Raises:
             LogError: The pair hardly moves.
@@ -154,7 +159,7 @@ class PairWindows:
 
 
 def select_windows(windows: MotorWindows, selected: NDArray[np.bool_]) -> MotorWindows:
-    """Return some of the windows of a motor."""
+    """Return the selected windows of a motor."""
     each = ("t", "tension", "acceleration", "speed", "sign", "commands")
     return replace(windows, **{name: getattr(windows, name)[selected] for name in each})
 
@@ -164,7 +169,7 @@ def _joint_motion(
 ) -> tuple[Array, Array, Array]:
     """Return angles, rates and accelerations (m, joints) of a digit from the travels of its pairs (n_t, 3, m).
 
-    The stretch of the tendons is neglected. The angles are set by their mean difference from the readings.
+    The stretch of the tendons is neglected. The mean difference from the joint readings is subtracted.
     """
     travel, speed, acceleration = (means[:, i].T for i in range(3))
     back = digit.excursion_to_joints.T
@@ -184,10 +189,10 @@ def _torque_of_digit(tree: HandTree, digit: DigitModel, rest: Array, q: Array, d
 def _stretch_readings(
     digit: DigitModel, tendon: int, data: TendonData, rows: NDArray[np.intp], weights: WindowWeights
 ) -> tuple[Array, Array, Array]:
-    """Return travel and excursion (m,) of windows, both at the times of the joint readings [m], and their number.
+    """Return travel and excursion (m,) of windows at the times of the joint readings [m], and the number of readings.
 
-    While a pair is stretched on a stop its travel changes and its excursion does not. The travel is then
-    moved to the centre of the window.
+    While a pair is stretched on a stop, its travel changes and its excursion does not. For such a window
+    the travel is averaged over all samples instead.
     """
     read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
     excursion = np.where(read, excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
@@ -198,12 +203,12 @@ def _stretch_readings(
     stretched = data.stop[rows].all(axis=1)
     travel = np.where(stretched, data.travel[rows] @ weights.mean, travel)
     known = np.where(count >= MIN_READINGS, (excursion[rows] * weight).sum(axis=1) / total, np.nan)
-    # The number of readings that count, with the weights of the window.
+    # The last value is the effective number of readings with the weights of the window.
     return travel, known, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
 def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
-    """Return the net tension at the spool (m,) for one at a joint [N].
+    """Return the net tension at the spool (m,) for a net tension at a joint [N].
 
     Args:
         net: net tension at the joint [N].
@@ -230,7 +235,7 @@ class PairProblem:
     Attributes:
         windows: windowed signals.
         spool: radius of the spool [m].
-        nominal: (15,) scale of each parameter of `fit.NAMES`.
+        nominal: (15,) scale of each parameter of `fit.PARAMETER_NAMES`.
         motor_noise: standard deviation of the motor equation [N].
         reading_noise: standard deviation of the excursion by one joint reading [m].
         start: initial scaled parameters, taken from the hand file.
@@ -245,7 +250,7 @@ class PairProblem:
 
     def value(self, z: Array, name: str) -> float:
         """Return a parameter in SI units, or as a factor."""
-        return float(z[PAIR_PARAMETERS.index(name)] * self.nominal[NAMES.index(name)])
+        return float(z[PAIR_PARAMETERS.index(name)] * self.nominal[PARAMETER_NAMES.index(name)])
 
     def measured_tension(self, z: Array) -> Array:
         """Return the net tension (m,) by the motor equation [N]."""
@@ -260,8 +265,8 @@ class PairProblem:
         """Return the net tension (m,) that the links and the friction of the tendons need in free motion [N]."""
         w = self.windows
         load = self.value(z, "link_mass") * w.inertial + self.value(z, "joint_damping") * w.damping
-        rotor = self.nominal[NAMES.index("motor_inertia")] / self.spool**2
-        load = load + z[-2] * LOAD_DOUBT * rotor * w.motor.acceleration
+        rotor = self.nominal[PARAMETER_NAMES.index("motor_inertia")] / self.spool**2
+        load = load + z[-2] * LOAD_INERTIA_SIGMA * rotor * w.motor.acceleration
         passed = np.exp(np.clip(-self.value(z, "capstan") * w.developed * w.angle, -3.0, 3.0))
         return tension_of_pair(load / self.value(z, "moment_arm"), self.value(z, "pretension"), passed)
 
@@ -280,7 +285,7 @@ class PairProblem:
         needed = self.free_tension(z)
         by_tension = stretch_of_pair(np.where(w.free, needed, measured), stiffness, pretension)
         motor = np.where(w.free, measured - needed, 0.0) / self.motor_noise
-        softest = self.motor_noise / self.nominal[NAMES.index("tendon_stiffness")]
+        softest = self.motor_noise / self.nominal[PARAMETER_NAMES.index("tendon_stiffness")]
         noise = np.hypot(self.reading_noise / np.sqrt(w.readings), np.where(w.free, 0.0, softest))
         known = np.isfinite(w.excursion)
         second = np.where(known, self.stretch(z) - by_tension, 0.0) / noise
@@ -293,7 +298,7 @@ class PairProblem:
         return np.where(signed, -np.inf, MIN_SCALE), np.where(signed, np.inf, MAX_SCALE)
 
     def with_noise_of(self, z: Array) -> "PairProblem":
-        """Return the problem with the noise of its own residuals, by their median."""
+        """Return the problem with noise estimated from the median of its residuals."""
         w = self.windows
         rest = (self.measured_tension(z) - self.free_tension(z))[w.free]
         size = 1.48 * float(np.median(np.abs(rest))) if len(rest) else self.motor_noise
@@ -320,7 +325,10 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
     scales = parameter_scales(hand, own.tendon)
     problem = PairProblem(windows, motor.spool_radius_m, scales, FIRST_NOISE_N, reading, _start(windows))
     times = np.tile(windows.motor.t, 2)
-    tried = [solve_least_squares(problem.residuals, start, problem.bounds(), times) for start in _starts(problem.start)]
+    tried = [
+        solve_least_squares(problem.residuals, start, problem.bounds(), times)
+        for start in _start_candidates(problem.start)
+    ]
     first = min(tried, key=lambda solution: _robust_cost(problem.residuals(solution.z)))
     problem = problem.with_noise_of(first.z)
     solution = solve_least_squares(problem.residuals, first.z, problem.bounds(), times)
@@ -337,11 +345,11 @@ def _start(windows: PairWindows) -> Array:
     return first
 
 
-def _starts(first: Array) -> list[Array]:
+def _start_candidates(first: Array) -> list[Array]:
     """Return initial parameters with several pretensions.
 
-    A pair whose pretension is too small in the first step looks like one with a slack tendon, of twice the
-    stiffness. No small step leads from there to the right parameters.
+    If the initial pretension is too small, the solver may reach a pair with a slack tendon and twice the
+    stiffness. No small step leads from this solution to the right parameters.
     """
     starts = []
     for factor in START_FACTORS:
@@ -359,8 +367,8 @@ def _robust_cost(residual: Array) -> float:
 def _as_fit(hand: Hand, problem: PairProblem, solution: Solution) -> Fit:
     """Return the fit of a pair in the form of a tendon's fit."""
     windows = problem.windows
-    count = len(NAMES)
-    target = [NAMES.index(name) for name in PAIR_PARAMETERS]
+    count = len(PARAMETER_NAMES)
+    target = [PARAMETER_NAMES.index(name) for name in PAIR_PARAMETERS]
     own = len(target)
     z = np.append(np.ones(count), (0.0, 0.0))
     z[target] = solution.z[:own]

@@ -13,7 +13,7 @@ from scipy.signal import coherence
 from handctl.core.identified import UNITS
 from handctl.hand.description import Hand
 from handctl.tune.identify.data import Array, TendonData
-from handctl.tune.identify.fit import MAX_HALF_WIDTH, NAMES, SCALE_DELAY_S, Fit
+from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DELAY_S, Fit
 
 MAX_CORRELATION = 0.95
 """Correlation above which two parameters are reported as trading off."""
@@ -71,7 +71,12 @@ def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiab
     reasons = {name: _reason_not_identified(jacobian, name) for name in UNITS if name not in names} | unseen
     spread = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(spread, spread)
-    pairs = [(a, b, float(correlation[NAMES.index(a), NAMES.index(b)])) for a in names for b in names if a < b]
+    pairs = [
+        (a, b, float(correlation[PARAMETER_NAMES.index(a), PARAMETER_NAMES.index(b)]))
+        for a in names
+        for b in names
+        if a < b
+    ]
     return Identifiability(
         names=names,
         missing=(
@@ -80,7 +85,7 @@ def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiab
         ),
         # A singular direction counts if its own 95 % interval would count as identified.
         rank=int((1.96 / np.maximum(sizes, 1e-12) < MAX_HALF_WIDTH).sum()),
-        columns=len(NAMES),
+        columns=len(PARAMETER_NAMES),
         condition=float(sizes[0] / max(sizes[-1], 1e-12)),
         weakest=_combination_text(directions[-1]),
         correlated=tuple(pair for pair in pairs if abs(pair[2]) > MAX_CORRELATION),
@@ -95,7 +100,7 @@ def _is_narrow(name: str, value: float, width: float) -> bool:
 
 def _is_excited(jacobian: Array, name: str) -> bool:
     """Return True if the parameter affects any data row."""
-    return bool(np.linalg.norm(jacobian[:, NAMES.index(name)]) > 1e-6)
+    return bool(np.linalg.norm(jacobian[:, PARAMETER_NAMES.index(name)]) > 1e-6)
 
 
 def _reason_not_identified(jacobian: Array, name: str) -> str:
@@ -110,7 +115,7 @@ def _reason_not_identified(jacobian: Array, name: str) -> str:
 def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, str]:
     """Return the parameters that the sensors of a hand cannot show, each with the reason.
 
-    A parameter that the tendon does not have has no reason.
+    The reason is empty for a parameter that the tendon does not have.
 
     Args:
         hand: description of the hand.
@@ -126,7 +131,7 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
     if not sprung:
         unseen |= dict.fromkeys(("spring_stiffness", "spring_preload"), "the hand file has no springs")
     if sprung:
-        unseen["moment_arm"] = "it trades off with springs and stretch, the arms of the hand file are used"
+        unseen["moment_arm"] = "it trades off with springs and stretch, so the moment arms of the hand file are used"
     elif not hand.covered[index]:
         unseen["moment_arm"] = "a joint of this tendon has no encoder"
     return unseen
@@ -139,7 +144,7 @@ def _never_identifiable(fit: Fit, hand: Hand, name: str) -> list[str]:
     if tendon.pretension_N is not None:
         return [
             "link masses: taken from the hand file to weigh torques, and fitted only as a factor on the load",
-            f"tendon damping: in units of the noise of the motor force, {problem.sigma:.2f} N, it is too small",
+            f"tendon damping: its force is too small for the noise of the motor force, {problem.sigma:.2f} N",
         ]
     tension = np.concatenate([problem.motor.tension, problem.stop.tension, problem.free.tension])
     reasons = [
@@ -148,7 +153,7 @@ def _never_identifiable(fit: Fit, hand: Hand, name: str) -> list[str]:
         "link masses: taken from the hand file, within 30 %",
     ]
     if hand.covered[hand.tendon_names.index(name)]:
-        reasons.append("moment arms of one tendon to each other: one factor is fitted for all its joints")
+        reasons.append("ratios of the moment arms of a tendon: one factor is fitted for all joints")
     if float(tension.max(initial=0.0)) < tendon.knee_N:
         reasons.append(
             f"knee of the tendon: the data end at {tension.max(initial=0.0):.0f} N, the knee is at {tendon.knee_N:g} N"
@@ -159,7 +164,7 @@ def _never_identifiable(fit: Fit, hand: Hand, name: str) -> list[str]:
     max_speed = float(rates.max(initial=0.0))
     damping_force = tendon.damping_N_s_per_m * max_speed
     reasons.append(
-        f"tendon damping: on the stop it makes at most {damping_force:.3f} N, "
+        f"tendon damping: on the stop its force is at most {damping_force:.3f} N, "
         f"the load-cell noise is {problem.sigma:.2f} N"
     )
     return reasons
@@ -168,7 +173,7 @@ def _never_identifiable(fit: Fit, hand: Hand, name: str) -> list[str]:
 def _combination_text(direction: Array) -> str:
     """Return the largest components of a direction as text."""
     order = np.argsort(-np.abs(direction))[:3]
-    return ", ".join(f"{direction[i]:+.2f} {NAMES[i]}" for i in order if abs(direction[i]) > 0.1)
+    return ", ".join(f"{direction[i]:+.2f} {PARAMETER_NAMES[i]}" for i in order if abs(direction[i]) > 0.1)
 
 
 def excitation_coherence(data: TendonData) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.tune.identify.contact_detection import are_joints_moving
 from handctl.tune.identify.data import Array, TendonData, tendon_data
-from handctl.tune.identify.fit import NAMES, Fit, Problem, fit_tendon
+from handctl.tune.identify.fit import PARAMETER_NAMES, Fit, Problem, fit_tendon
 from handctl.tune.identify.fit_digit import Balance, fit_digit, fits_with_digit
 from handctl.tune.identify.fit_pair import fit_pair
 from handctl.tune.identify.fit_travel import fit_travel, with_arms
@@ -42,38 +42,38 @@ class TendonResult:
     Attributes:
         data: data from the log.
         fit: fit of all parameters.
-        judged: identifiability of the parameters.
+        identifiability: identifiability of the parameters.
         coherence: mean coherence over the swing's band.
         spectrum: frequencies [Hz] and coherence.
         balance: balance of the digit if the digit has several tendons and joint encoders, else
             None.
         blocked: text of the controller's event about a blocked digit during the excitation, else
             empty.
-        met: evidence of a contact during the sweeps as text, else empty.
+        contact: evidence of a contact during the sweeps as text, else empty.
     """
 
     data: TendonData
     fit: Fit
-    judged: Identifiability
+    identifiability: Identifiability
     coherence: float
     spectrum: tuple[Array, Array]
     balance: Balance | None = None
     blocked: str = ""
-    met: str = ""
+    contact: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the identified parameters that are valid."""
         if self.blocked:
             return ()
-        return tuple(name for name in self.judged.names if not (self.met and name in SWEEP_PARAMETERS))
+        return tuple(name for name in self.identifiability.names if not (self.contact and name in SWEEP_PARAMETERS))
 
     def identified(self, log: Path, made: str) -> Identified | None:
         """Return the entry for the calibration file, or None without a valid identified parameter."""
         names = self.names
         if not names:
             return None
-        at = [NAMES.index(name) for name in names]
+        at = [PARAMETER_NAMES.index(name) for name in names]
         scale = self.fit.problem.nominal[at]
         # The fit's parameters are scaled, those of the file are in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
@@ -84,7 +84,7 @@ class TendonResult:
             values=tuple(values[name] for name in names),
             half_widths=tuple(widths[name] for name in names),
             covariance=tuple(tuple(row) for row in covariance.tolist()),
-            missing=self.judged.missing,
+            missing=self.identifiability.missing,
             log=(str(log),),
             made=made,
         )
@@ -94,14 +94,14 @@ class TendonResult:
         values = self.fit.values
         widths = self.fit.half_widths
         nominal = self.fit.problem.nominal
-        together = self.fit.half_widths_of(max(1, len(self.judged.names)))
+        together = self.fit.half_widths_of(max(1, len(self.identifiability.names)))
         rows = {
             name: {
                 "value": values[name],
                 "half_width_95": widths[name],
                 "half_width_95_all_at_once": together[name],
                 "unit": UNITS[name],
-                "hand_file": 0.0 if name == "delay" else float(nominal[NAMES.index(name)]),
+                "hand_file": 0.0 if name == "delay" else float(nominal[PARAMETER_NAMES.index(name)]),
                 "identified": name in self.names,
             }
             for name in UNITS
@@ -109,16 +109,16 @@ class TendonResult:
         return {
             "digit": self.data.digit,
             "blocked": self.blocked,
-            "met": self.met,
+            "met": self.contact,
             "ramp": self.fit.ramp._asdict() if self.fit.ramp else None,
             "parameters": rows,
-            "load_cell_offset_N": float(self.fit.z[len(NAMES)]),
+            "load_cell_offset_N": float(self.fit.z[len(PARAMETER_NAMES)]),
             "coherence": self.coherence,
-            "not_identified": list(self.judged.missing),
-            "rank": [self.judged.rank, self.judged.columns],
-            "condition": self.judged.condition,
-            "weakest_combination": self.judged.weakest,
-            "correlated": [list(pair) for pair in self.judged.correlated],
+            "not_identified": list(self.identifiability.missing),
+            "rank": [self.identifiability.rank, self.identifiability.columns],
+            "condition": self.identifiability.condition,
+            "weakest_combination": self.identifiability.weakest,
+            "correlated": [list(pair) for pair in self.identifiability.correlated],
             "residual_rms": float(np.sqrt(np.mean(self.fit.residual**2))),
             "load_cell_noise_N": self.fit.problem.sigma,
         }
@@ -181,25 +181,25 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Fi
 def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
     """Return a result with information about contacts that make parameters invalid.
 
-    The controller uses the springs of the hand file, and mistakes springs a third stiffer for an
-    obstacle. Therefore its event is ignored if the fit explains the whole sweep.
+    The controller uses the springs of the hand file. If the real springs are a third stiffer, the controller
+    reports an obstacle. Therefore its event is ignored if the fit explains the whole sweep.
     """
-    met = contact_text(hand, result)
+    contact = contact_text(hand, result)
     ramp = result.fit.ramp
-    cleared = not met and ramp is not None and ramp.clear
-    return replace(result, met=met, blocked="" if cleared else event)
+    cleared = not contact and ramp is not None and ramp.excludes_contact
+    return replace(result, contact=contact, blocked="" if cleared else event)
 
 
 def contact_text(hand: Hand, result: TendonResult) -> str:
     """Return the evidence of a contact during the sweeps as text, else empty."""
     ramp = result.fit.ramp
-    if ramp is not None and ramp.met:
+    if ramp is not None and ramp.is_contact:
         several = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
         size = f"{1e3 * abs(ramp.rise):.1f} mN m at a joint" if several else f"{abs(ramp.rise):.1f} N"
         kind = "higher" if ramp.rise > 0.0 else "lower"
         start, end = np.degrees([ramp.begin, ramp.end])
         return (
-            f"from {start:.0f} deg on its load is {kind} than its springs explain, {size} at {end:.0f} deg "
+            f"from {start:.0f} deg on the load is {kind} than the springs explain, by {size} at {end:.0f} deg "
             f"({abs(ramp.score):.1f} standard deviations)"
         )
     return _blocked_joint_text(hand, result)
@@ -210,7 +210,7 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     load = result.fit.problem.load
     data = result.data
     values = result.fit.values
-    if load is None or "spring_preload" not in result.judged.names:
+    if load is None or "spring_preload" not in result.identifiability.names:
         return ""
     stretch = data.tension / values["tendon_stiffness"] + values["stretch_offset"]
     travel = float(np.nanmax(np.where(data.acting, data.travel - stretch, np.nan)))
@@ -223,13 +223,13 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     if are_joints_moving(len(load.arms), preload, width, travel, full):
         return ""
     return (
-        f"a joint does not seem to move: its springs have {preload:.2f} of the hand file's preload, and "
-        f"it closes by {1e3 * travel:.1f} mm of {1e3 * full:.1f} mm"
+        f"a joint does not seem to move: the springs of the digit have {preload:.2f} of the hand file's preload, "
+        f"and the digit closes by {1e3 * travel:.1f} mm of {1e3 * full:.1f} mm"
     )
 
 
 def blocked_digits(log: RunLog) -> dict[str, str]:
-    """Return, for each blocked excited digit, the first event about this.
+    """Return the first event that reports a block, for each blocked excited digit.
 
     The result has digit names as keys.
 
@@ -288,13 +288,13 @@ def result_table(results: dict[str, TendonResult]) -> list[str]:
         values = result.fit.values
         widths = result.fit.half_widths
         for key, unit in UNITS.items():
-            nominal = result.fit.problem.nominal[NAMES.index(key)]
+            nominal = result.fit.problem.nominal[PARAMETER_NAMES.index(key)]
             size, shown = (1e3, "ms") if key == "delay" else (1.0, unit)
             value = size * values[key]
             width = size * widths[key]
             if key not in result.names:
-                spoilt = key in result.judged.names
-                lines.append(f"  {key:<17} {'spoilt by a contact' if spoilt else 'not identified'}")
+                is_invalid = key in result.identifiability.names
+                lines.append(f"  {key:<17} {'invalid because of a contact' if is_invalid else 'not identified'}")
                 continue
             note = "" if key == "delay" else f"{100 * width / abs(value):5.1f} %   hand file {nominal:.4g}"
             lines.append(f"  {key:<17} {value:10.4g} +- {width:<9.2g} {shown:<11} {note}")
@@ -302,10 +302,11 @@ def result_table(results: dict[str, TendonResult]) -> list[str]:
         wider = [result.fit.half_widths_of(count)[name] / widths[name] for name in result.names]
         if wider:
             lines.append(
-                f"  to cover all {count} at once with 95 %: {min(wider):.2f} to {max(wider):.2f} times as wide"
+                f"  intervals that cover all {count} parameters at once with 95 %: "
+                f"{min(wider):.2f} to {max(wider):.2f} times as wide"
             )
-        rank = f"{result.judged.rank} of {result.judged.columns} combinations"
-        lines.append(f"  the data determine {rank}, least {result.judged.weakest}")
-        lines += [f"  {a} and {b} trade off: correlation {r:+.2f}" for a, b, r in result.judged.correlated]
-        lines += [f"  not identifiable: {text}" for text in result.judged.missing]
+        rank = f"{result.identifiability.rank} of {result.identifiability.columns} combinations"
+        lines.append(f"  the data determine {rank}, with the least information about {result.identifiability.weakest}")
+        lines += [f"  {a} and {b} trade off: correlation {r:+.2f}" for a, b, r in result.identifiability.correlated]
+        lines += [f"  not identifiable: {text}" for text in result.identifiability.missing]
     return lines

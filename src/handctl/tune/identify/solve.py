@@ -17,11 +17,14 @@ Array = NDArray[np.float64]
 MIN_FREEDOM = 3.0
 """Smallest degrees of freedom of an interval."""
 MIN_VARIANCE_FRACTION = 1e-9
-"""Squared contribution of the data to a parameter below which only the prior determines the parameter."""
+"""Smallest squared contribution of the data to a parameter.
+
+Below this value only the prior determines the parameter.
+"""
 MAX_SOLVER_STEPS = 40
 """Largest number of steps of the solver.
 
-If more are needed, the data do not determine the parameters.
+If the solver needs more steps, the data do not determine the parameters.
 """
 OUTLIER_RESIDUAL = 2.5
 """Residual above which a row gets less weight [standard deviations], for example in an unexpected contact."""
@@ -67,7 +70,7 @@ def solve_least_squares(
         times: time of every data row [s].
     """
     run = partial(least_squares, x_scale="jac", bounds=bounds, max_nfev=MAX_SOLVER_STEPS)
-    # A soft L1 loss limits the pull of outliers in the first round.
+    # A soft L1 loss limits the effect of outliers in the first round.
     first = run(residuals, start, loss="soft_l1", f_scale=OUTLIER_RESIDUAL)
     weight = np.ones_like(first.fun)
     weight[: len(times)] = np.abs(first.fun[: len(times)]) < 2.0 * OUTLIER_RESIDUAL
@@ -102,7 +105,7 @@ def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, 
     Satterthwaite's degrees of freedom with their working model.
     """
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    # The priors are exact by definition, so they enter the middle of the sandwich as they are.
+    # The priors are exact by definition, so their rows enter the middle of the sandwich without correction.
     middle = jacobian[len(times) :].T @ jacobian[len(times) :]
     expected = [np.diag(plain @ middle @ plain)]
     for rows in _block_rows(times):
@@ -114,7 +117,7 @@ def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, 
         middle += np.outer(score, score)
         expected.append(np.maximum(np.diag(plain @ part.T @ alone[:, 1:] @ plain), 0.0))
     robust = plain @ middle @ plain
-    # The robust covariance widens the plain one, never narrows it.
+    # The robust covariance may widen the plain covariance, but never narrows it.
     wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
     shares = np.array(expected) / np.sum(expected, axis=0)
     freedom = 1.0 / np.maximum((shares[1:] ** 2).sum(axis=0), MIN_VARIANCE_FRACTION)

@@ -2,11 +2,11 @@
 
 Authority is the parameter of LQR that this design varies: the force that has the same weight as the
 errors of Bryson's rule. More authority makes a loop faster and its margins smaller. Therefore
-authority is increased until a margin would become too small, for each tendon alone. The tendon with
-the least decides ``force_N``. Tendons that permit more than twice as much get a force of their own,
-so that a heavy digit, such as a wrist, does not make the light ones slow. Reported margins are confirmed by the
-closed loop's eigenvalues. Designed gains are confirmed by a function of the caller, such as a
-simulation.
+authority is increased until a margin would become too small, for each tendon alone. The smallest
+authority of all tendons becomes ``force_N``. A tendon that permits more than twice this authority gets
+a separate force, so that a heavy digit, such as a wrist, does not make light digits slow. Reported
+margins are confirmed by the closed loop's eigenvalues. Designed gains are confirmed by a function of
+the caller, such as a simulation.
 
 Poles: for a plant with one input and weights on position and speed, the closed loop's
 characteristic polynomial d satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
@@ -52,14 +52,17 @@ LOG_FORCE_STEP = math.log(1.7)
 """Step of the search, in the natural logarithm of the force."""
 BISECTIONS = 5
 """Number of bisections of the last step, for an accuracy of two per cent."""
-FINE_STRIDE = math.log(1.03)
-"""Step down from the result of the search until the confirmed margins are kept."""
-FINE_STEPS = 6
-"""Largest number of these steps."""
-FORCE_REDUCTIONS = 3
-"""Number of steps by which both forces are reduced if the margins are kept but the proof fails."""
+LOG_REDUCTION_STEP = math.log(1.03)
+"""Step of the reduction after the search, in the natural logarithm of the force.
+
+The force is reduced until the confirmed margins are kept.
+"""
+MAX_REDUCTIONS = 6
+"""Largest number of reductions after the search."""
+MAX_COMMON_REDUCTIONS = 3
+"""Largest number of steps by which all forces are reduced if the margins are kept but the test in simulation fails."""
 FORCE_RATIO = 2.0
-"""Ratio of a tendon's authority to that of all tendons above which the tendon gets a force of its own."""
+"""Ratio of a tendon's authority to the common authority above which the tendon gets a separate force."""
 FORCE_DIGITS = 3
 """Significant digits of a designed force, rounded down."""
 REJECTION_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
@@ -88,7 +91,7 @@ class Design:
     worst_after: Margins
 
     def with_unproven_before(self) -> "Design":
-        """Return the design with zero margins before, for old gains that did not come to rest in simulation."""
+        """Return the design with zero margins for the old gains, which did not come to rest in simulation."""
         before = {loop: unproven_margins(margin) for loop, margin in self.before.items()}
         return replace(self, before=before, worst_before=unproven_margins(self.worst_before))
 
@@ -128,7 +131,7 @@ class Design:
 
 
 def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
-    """Return those factors of an ensemble that act on linear parameters. Friction is not linear."""
+    """Return the factors of an ensemble that act on linear parameters. Friction is not linear."""
     names = PlantFactors.__dataclass_fields__
     return PlantFactors(**{key: value for key, value in factors.items() if key in names})
 
@@ -160,7 +163,7 @@ def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float
 
 
 def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[dict[str, Any]]:
-    """Return the content of the forces of single tendons, multiplied by a factor for each loop."""
+    """Return the entries for the forces of single tendons, multiplied by a factor for each loop."""
     return [
         {
             "name": one.name,
@@ -201,7 +204,7 @@ def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float,
     a0 = k / m
     a1 = float((space.motor_damping + space.damping).mean()) / m
     expected = (
-        f"the tension loop's above {math.sqrt(a0) / (2.0 * math.pi):.1f} Hz, that of the free rotor on its tendon"
+        f"tension poles above {math.sqrt(a0) / (2.0 * math.pi):.1f} Hz, the frequency of the free rotor on its tendon"
     )
     speed = 2.0 * a0 - a1**2 - 2.0 * w**2 * (1.0 - 2.0 * damping**2)
     return _positive_root(w**4 - a0**2, expected) * m / k, m * _positive_root(speed, MIN_DAMPING_TEXT)
@@ -251,7 +254,7 @@ def keeps_required_margins(
 
     The check ends at the first failure.
     """
-    return all(margin.enough for margin in _each_margin(model, plants, kinds, tendons=tendons))
+    return all(margin.are_sufficient for margin in _each_margin(model, plants, kinds, tendons=tendons))
 
 
 def _each_margin(
@@ -261,16 +264,16 @@ def _each_margin(
     judge: Callable[[System], Margins] = margins_of_loop,
     tendons: Iterable[int] | None = None,
 ) -> Iterator[Margins]:
-    """Yield the margins of each loop, tendon, and plant. Without tendons, those of each kind of tendon."""
+    """Yield the margins of each loop, tendon, and plant. Without `tendons`, one tendon of each kind is used."""
     for kind in kinds:
-        for i in unlike_tendons(model) if tendons is None else tendons:
+        for i in distinct_tendons(model) if tendons is None else tendons:
             loop_controller = controller_system(model, i, kind)
             yield from (
                 judge(join_to_open_loop(plant_system(model, i, kind, factors), loop_controller)) for factors in plants
             )
 
 
-def unlike_tendons(model: HandModel) -> tuple[int, ...]:
+def distinct_tendons(model: HandModel) -> tuple[int, ...]:
     """Return the index of one tendon of each kind, so that equal tendons are checked only once."""
     return tuple(group[0] for group in _equal_tendons(model))
 
@@ -289,14 +292,14 @@ def _equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
 def design_gains(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
-    proves: Callable[[HandModel], bool] = lambda _: True,
+    passes_test: Callable[[HandModel], bool] = lambda _: True,
 ) -> Design:
     """Design the largest authority of each loop, and the largest disturbance rejection, within the margins.
 
     Args:
         model: model of the hand with its present gains. Its filter is kept.
         plants: ensemble of plants on which the margins must be kept.
-        proves: function that returns True if the gains of a model pass another test, such as a
+        passes_test: function that returns True if the gains of a model pass another test, such as a
             simulation.
 
     Raises:
@@ -307,13 +310,15 @@ def design_gains(
     for rejection in REJECTION_FRACTIONS:
         if rejection > model.gains.motion.disturbance_rejection:
             continue
-        candidate = _with_most_authority(_with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants)
-        candidate = candidate and _with_most_authority(candidate, LoopKind.TENSION, plants)
+        candidate = _with_largest_authority(
+            _with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants
+        )
+        candidate = candidate and _with_largest_authority(candidate, LoopKind.TENSION, plants)
         if not candidate:
             continue
-        for tried in _with_less_and_less_authority(candidate, plants):
+        for tried in _with_decreasing_authority(candidate, plants):
             after = worst_margins(tried, plants)
-            if after.enough and proves(tried):
+            if after.are_sufficient and passes_test(tried):
                 return Design(
                     tried.gains,
                     all_margins(model),
@@ -321,19 +326,20 @@ def design_gains(
                     worst_margins(model, plants),
                     after,
                 )
-            unproven = unproven or after.enough
-        # Less rejection lowers one term only. Gains that do not come to rest have another cause.
+            unproven = unproven or after.are_sufficient
+        # Less disturbance rejection changes a single term. If gains do not come to rest, another term
+        # is the cause.
         if unproven:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
             )
-    raise ValueError("no authority keeps the margins with this filter; expected a filter that trusts its sensors less")
+    raise ValueError("no authority keeps the margins with this filter; expected a filter with more sensor noise")
 
 
-def _with_less_and_less_authority(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[HandModel]:
+def _with_decreasing_authority(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[HandModel]:
     """Yield the gains, then gains with decreasing authority that keep the margins."""
     yield model
-    for step in range(1, FORCE_REDUCTIONS + 1):
+    for step in range(1, MAX_COMMON_REDUCTIONS + 1):
         less = _with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
         if keeps_required_margins(less, plants):
             yield less
@@ -356,7 +362,7 @@ def _with_motion(model: HandModel, **values: float) -> HandModel:
     return model_with_gains(model, gains)
 
 
-def _with_most_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
+def _with_largest_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
     """Return the model with the largest authority of each loop that keeps the margins, else None."""
     model = model_with_gains(model, _without_tendon_forces(model.gains, kind))
     forces: dict[int, float] = {}
@@ -400,12 +406,12 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
             best = middle
         else:
             high = middle
-    # Eigenvalues and a fine response may find less than the coarse response of the search.
-    for _ in range(FINE_STEPS):
+    # Eigenvalues and a fine response may give smaller margins than the coarse response of the search.
+    for _ in range(MAX_REDUCTIONS):
         tried = _with_force(model, kind, _rounded_force(best))
-        if all(margin.enough for margin in _each_margin(tried, plants, (kind,), confirmed_margins, (tendon,))):
+        if all(margin.are_sufficient for margin in _each_margin(tried, plants, (kind,), confirmed_margins, (tendon,))):
             break
-        best -= FINE_STRIDE
+        best -= LOG_REDUCTION_STEP
     return _rounded_force(best)
 
 
@@ -413,7 +419,7 @@ def _rounded_force(log_force: float) -> float:
     """Return a force of the search [N] from its natural logarithm, rounded down to a few digits."""
     force = math.exp(log_force)
     unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_DIGITS + 1)
-    # The small term takes up the rounding of the quotient.
+    # The small term compensates the rounding error of the quotient.
     return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_DIGITS}g}")
 
 

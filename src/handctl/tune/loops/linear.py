@@ -46,11 +46,11 @@ CURRENT_LAG_S = 0.3e-3
 
 Source: current loops of some 500 Hz in all three protocols' drives.
 """
-TENSION_N = 20.0
+OPERATING_TENSION_N = 20.0
 """Tension of the operating point, far from slack and from the limits [N]."""
-SPEED_M_S = 0.015
+OPERATING_SPEED_M_S = 0.015
 """Tendon speed of the operating point, at which friction is saturated [m/s]."""
-ANGLE_RAD = 0.6
+OPERATING_ANGLE_RAD = 0.6
 """Joint angle of the operating point, between the stops [rad]."""
 DIFFERENCE_STEPS = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
 """Steps of the finite differences: travel [m], tension [N], and states as a fraction of their size."""
@@ -59,12 +59,12 @@ UNLIMITED = 1e12
 MOVING_TENSION_N = 1e4
 """Expected tension of a moving digit, chosen far beyond its friction band [N].
 
-The expectation is then at the edge of the band.
+The prediction in the control law limits this tension to the edge of the band.
 """
 MIN_LIMIT_DISTANCE = 0.1
 """Smallest distance of the operating point from the limits of a joint, as a fraction of the range."""
 CONSTANT_TOLERANCE = 1e-9
-"""Largest coefficient with which other states may act on a state that counts as constant."""
+"""Largest coefficient of another state or an input in the equation of a state that counts as constant."""
 
 
 class LoopKind(enum.StrEnum):
@@ -114,11 +114,11 @@ class PlantFactors:
     torque_constant: float = 1.0
 
 
-NOMINAL = PlantFactors()
+NOMINAL_FACTORS = PlantFactors()
 """Factors for a plant equal to the hand file."""
 
 
-def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
+def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS) -> System:
     """Return the sampled system of rotor, tendon, and digit.
 
     Input is the motor force [N]. Outputs are travel [m], tension [N], and excursion [m].
@@ -199,7 +199,7 @@ def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> System:
     return System(J[:n], E[:n], J[n:], E[n:], model.period)
 
 
-def open_loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
+def open_loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS) -> System:
     """Return the open loop of a tendon, see `join_to_open_loop`."""
     return join_to_open_loop(plant_system(model, tendon, kind, factors), controller_system(model, tendon, kind))
 
@@ -207,8 +207,8 @@ def open_loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFacto
 def join_to_open_loop(P: System, K: System) -> System:
     """Return the open loop of a plant and a controller, broken at the motor force.
 
-    The output is the returned force with reversed sign. Therefore the margins are computed from 1 +
-    L.
+    The output is the force commanded by the controller, with reversed sign. Therefore the margins are computed
+    from 1 + L.
     """
     K = _without_constants(K)
     p = len(P.A)
@@ -338,16 +338,16 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     layout = bench.layout
     moving = kind == LoopKind.MOTION
     coordinates = [_half_closed(digit) for digit in model.digits]
-    rates = [_winding_rates(model, d, tendon, SPEED_M_S if moving else 0.0) for d in range(len(model.digits))]
+    rates = [_winding_rates(model, d, tendon, OPERATING_SPEED_M_S if moving else 0.0) for d in range(len(model.digits))]
     q = np.concatenate([digit.coupling @ position for digit, position in zip(model.digits, coordinates, strict=True)])
     dq = np.concatenate([digit.coupling @ position for digit, position in zip(model.digits, rates, strict=True)])
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
     digits = [digit.at(q[digit.joints]) for digit in model.digits]
     table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
-    table[s.TRAVEL] = table[s.EXCURSION] + TENSION_N / model.space.stiffness
+    table[s.TRAVEL] = table[s.EXCURSION] + OPERATING_TENSION_N / model.space.stiffness
     table[s.SPEED] = table[s.EXCURSION_RATE] = block_diag(*(digit.moment_arms for digit in digits)) @ dq
-    table[s.FORCE] = table[s.MEASURED_TENSION] = TENSION_N
+    table[s.FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
     table[s.MEASURED_TRAVEL] = table[s.TRAVEL]
     seen = np.isfinite(_joint_gain(model))
     table[s.MEASURED_EXCURSION] = np.where(seen, table[s.EXCURSION], math.nan)
@@ -359,7 +359,7 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     bench.estimate(estimated)
     reached = layout.table(estimated, "tendon")
     table[s.SETPOINT] = reached[s.TENSION]
-    table[s.PLANNED] = MOVING_TENSION_N if moving else TENSION_N
+    table[s.PLANNED] = MOVING_TENSION_N if moving else OPERATING_TENSION_N
     goals = tuple(_hold_goal(tendons) for tendons in model.digit_tendons)
     if moving:
         goals = tuple(
@@ -381,12 +381,12 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
 def _half_closed(digit: DigitModel) -> Matrix:
     """Return the coordinates (n_c,) of a digit with all joints inside their ranges [rad].
 
-    All joints are at `ANGLE_RAD` if the coupling allows this. Otherwise the point farthest from all
+    All joints are at `OPERATING_ANGLE_RAD` if the coupling allows this. Otherwise the point farthest from all
     limits is used.
     """
     low = digit.joint_min
     high = digit.joint_max
-    position: Matrix = digit.joints_to_coordinates @ np.full(digit.joint_count, ANGLE_RAD)
+    position: Matrix = digit.joints_to_coordinates @ np.full(digit.joint_count, OPERATING_ANGLE_RAD)
     joints = digit.coupling @ position
     margin = MIN_LIMIT_DISTANCE * (high - low)
     if np.all(joints >= low + margin) and np.all(joints <= high - margin):
@@ -421,7 +421,7 @@ def _joint_gain(model: HandModel) -> Matrix:
 def _hold_goal(tendons: slice) -> DigitGoal:
     """Return a goal that holds the tension of the operating point."""
     n = tendons.stop - tendons.start
-    return DigitGoal(Kind.TENSION, tension=np.full(n, TENSION_N), rate=0.0, force_limit=UNLIMITED)
+    return DigitGoal(Kind.TENSION, tension=np.full(n, OPERATING_TENSION_N), rate=0.0, force_limit=UNLIMITED)
 
 
 def _move_goal(digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int) -> DigitGoal:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from handctl.core.model import HandModel
 from handctl.tune.loops.linear import (
-    NOMINAL,
+    NOMINAL_FACTORS,
     LoopKind,
     Matrix,
     PlantFactors,
@@ -52,7 +52,7 @@ class Margins:
     """Margins of a loop.
 
     Attributes:
-        gain_db: factor by which the loop's gain may rise or fall, the smaller of both [dB].
+        gain_db: largest factor by which the loop's gain may rise or fall, the smaller of the two [dB].
             Zero if the loop is unstable.
         phase_deg: smallest difference of the phase from -180 degrees where the gain is one [deg].
         disk: balanced disk margin, 0 for an unstable loop, 2 at most.
@@ -72,7 +72,7 @@ class Margins:
     stable: bool
 
     @property
-    def enough(self) -> bool:
+    def are_sufficient(self) -> bool:
         """Return True if the margins are large enough for tuned gains."""
         return self.stable and self.gain_db >= GAIN_MARGIN_DB and self.phase_deg >= PHASE_MARGIN_DEG
 
@@ -88,7 +88,7 @@ class Margins:
 
 
 def unproven_margins(linear_margins: Margins) -> Margins:
-    """Return zero margins, for linear margins contradicted by a simulation."""
+    """Return zero margins in place of linear margins that a simulation contradicts."""
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, stable=False)
 
 
@@ -151,7 +151,7 @@ def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
     n = len(system.A)
     A = np.zeros((n + delay, n + delay), dtype=complex)
     A[:n, :n] = system.A
-    if delay:  # L's answer goes through a chain of ticks before it comes back
+    if delay:  # The loop's output passes `delay` ticks before it returns to the input.
         A[n, :n] = system.C[0]
         A[np.arange(n + 1, n + delay), np.arange(n, n + delay - 1)] = 1.0
         A[:n, n + delay - 1] = -factor * system.B[:, 0]
@@ -237,7 +237,7 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
     return list(zip(angle.tolist(), (omega[i] * (omega[i + 1] / omega[i]) ** fraction).tolist(), strict=True))
 
 
-def all_margins(model: HandModel, factors: PlantFactors = NOMINAL) -> dict[tuple[str, LoopKind], Margins]:
+def all_margins(model: HandModel, factors: PlantFactors = NOMINAL_FACTORS) -> dict[tuple[str, LoopKind], Margins]:
     """Return the confirmed margins of both loops of every tendon."""
     names = model.hand.tendon_names
     return {

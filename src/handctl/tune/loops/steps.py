@@ -16,7 +16,7 @@ from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.programs.exercise import HOME_RAD, Exercise, ExerciseStage
 from handctl.report.truth import TruthRecord
-from handctl.tune.loops.design import linear_factors, unlike_tendons, weakest_plant
+from handctl.tune.loops.design import distinct_tendons, linear_factors, weakest_plant
 from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, open_loop
 from handctl.tune.scoring import GroundTruth, simulate_program
 from handctl.tune.search.ensemble import MIN_SPREAD
@@ -157,7 +157,7 @@ def is_ringing(model: HandModel, factors: PlantFactors) -> bool:
         factors: linear factors of the plant.
     """
     ticks = (REST_S - EVALUATED_S) / model.period
-    for i in unlike_tendons(model):
+    for i in distinct_tendons(model):
         system = open_loop(model, i, LoopKind.TENSION, factors)
         poles = np.linalg.eigvals(system.A - system.B @ system.C)
         size = float(np.abs(poles[np.abs(np.angle(poles)) > OSCILLATION_ANGLE_RAD]).max(initial=0.0))
@@ -177,21 +177,21 @@ WITHOUT_FEEDBACK = {
 }
 """Gains with almost zero feedback while a tension is held."""
 CHATTER_SEEDS = 3
-"""Number of runs over which the largest oscillation is taken.
+"""Number of runs without feedback, of which the largest oscillation is used.
 
 Chatter varies by a factor of two between noise seeds.
 """
 MIN_FRICTION = {"friction": 1.0 - MIN_SPREAD["friction"]}
-"""Factors of the hand's own plant with the lowest friction of any ensemble."""
+"""Factors of the nominal plant with the lowest friction of any ensemble."""
 
 
 @dataclass
-class Proof:
-    """Test in lockstep that gains let the hand come to rest.
+class RestTest:
+    """Test in lockstep whether gains let the hand come to rest.
 
-    Four plants are simulated: the hand's own plant, the same plant with the lowest friction of any
+    Four plants are simulated: the nominal plant, the nominal plant with the lowest friction of any
     ensemble, the plant with the smallest margins, and the plant with the highest friction. The
-    linear loops neglect friction.
+    linear loops neglect friction, so a simulation is necessary.
 
     Links of a digit that presses on an object may chatter, even with constant motor torque. Such an
     oscillation is a property of the plant. The oscillation is measured on the same plant without
@@ -201,7 +201,7 @@ class Proof:
 
     Attributes:
         hand: hand of the plants.
-        factors: factors of the ensemble's plants, the hand's own first.
+        factors: factors of the ensemble's plants, the nominal plant first.
         plants: linear factors of the plants.
         seed: seed of the noise.
         reason: reason why the hand did not come to rest with the last gains, empty if it did.
@@ -236,10 +236,10 @@ class Proof:
             result = simulate_swing(self.hand, model, factors, seed)
             if result.at_rest:
                 continue
-            # a swing of the loop is compared with the swing of the plant alone, in another simulation
+            # Another simulation without feedback gives the swing of the plant itself.
             ringing = is_ringing(model, linear_factors(factors))
             if result.failure or ringing or not result.minus(self._plant_swing(model, name, factors, seed)).at_rest:
-                return f": {name} {result}{' of a loop that rings' if ringing else ''}"
+                return f": {name} {result}{' of a loop that oscillates' if ringing else ''}"
         return ""
 
     def _plant_swing(self, model: HandModel, name: str, factors: Mapping[str, float], seed: int) -> tuple[float, ...]:

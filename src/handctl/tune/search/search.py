@@ -3,7 +3,8 @@
 Optuna is asked for trials in fixed batches, and their scores are reported in order. Each batch has
 its own sampler, seeded by the study's seed and the batch's number. Therefore the result does not
 depend on the number of processes, and an interrupted study can be resumed. If all trials of a batch
-were requested from Optuna, the study resumes with those that have no score. Otherwise the batch is requested again.
+were requested from Optuna, the study resumes with the trials that have no score. Otherwise the batch is
+requested again.
 """
 
 import fcntl
@@ -24,8 +25,8 @@ from handctl.tune.search.workers import Workers
 BATCH_SIZE = 8
 """Number of trials per batch. More workers than this would be idle."""
 RANDOM_BATCHES = 2
-"""Number of batches with random trials, before the sampler uses results."""
-NAME = "handctl"
+"""Number of batches with random trials. Later batches use the results of earlier trials."""
+STUDY_NAME = "handctl"
 """Name of the study in the journal."""
 
 
@@ -200,7 +201,9 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
     try:
         _truncate_partial_line(path)
         backend = JournalStorage(JournalFileBackend(str(path)))
-        study = optuna.create_study(storage=backend, study_name=NAME, directions=["minimize"] * 3, load_if_exists=True)
+        study = optuna.create_study(
+            storage=backend, study_name=STUDY_NAME, directions=["minimize"] * 3, load_if_exists=True
+        )
         _finished_trials(study)
     except (
         OSError,
@@ -208,7 +211,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
         LookupError,
         TypeError,
         AssertionError,
-    ) as error:  # Optuna reads without looking
+    ) as error:  # Optuna does not validate the file, so that a damaged journal raises any of these errors.
         raise ConfigError(f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`") from None
     if study.user_attrs.get("plan", plan.identity) != plan.identity:
         raise ConfigError(
@@ -239,7 +242,7 @@ def _truncate_partial_line(path: Path) -> None:
 
 
 def _run_batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[SearchResult], None]) -> None:
-    """Compute the missing trials of the present batch, and report them in the order of asking."""
+    """Compute the missing trials of the present batch, and report them in the order of their requests."""
     finished_count = len(_finished_trials(study))
     trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
     jobs = [plan.job(finished_count + i, trial.params) for i, trial in enumerate(trials)]
@@ -256,15 +259,15 @@ def _run_batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[S
 def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
     """Return the trials of the present batch that have no result yet.
 
-    A whole batch is asked for before its first score is reported. Therefore a longer or a resumed
-    search asks for the same trials as a single run.
+    A whole batch is requested from Optuna before its first score is reported. Therefore a longer or a
+    resumed search has the same trials as a single run.
     """
     from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState
 
     count = BATCH_SIZE - finished_count % BATCH_SIZE
     still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
-    # A batch that was asked completely has all its open trials with all parameters.
+    # If the whole batch was requested, all its open trials exist and have all parameters.
     if len(still_open) == count and all(len(trial.params) == len(SPACE) for trial in still_open):
         return [OptunaTrial(study, trial._trial_id) for trial in still_open]
     _close_open_trials(study)
@@ -287,9 +290,9 @@ def _close_open_trials(study: Any) -> None:
 
 def _report_score(study: Any, trial: Any, score: Score) -> None:
     """Report a score to the study."""
-    # The attribute comes before the state, so a finished trial always has its score.
+    # The attribute is set before the state, so a finished trial always has a score.
     trial.set_user_attr("score", asdict(score))
-    if not trial.constraints:  # present if an earlier call was interrupted before tell
+    if not trial.constraints:  # The constraint exists if an earlier call was interrupted before `tell`.
         trial.set_constraint("margins", score.shortfall)
     study.tell(trial, list(score.objectives))
 
@@ -298,7 +301,7 @@ def _sampler(seed: int, batch: int) -> Any:
     """Return the sampler of a batch."""
     from optuna.samplers import RandomSampler, TPESampler
 
-    # A prime factor keeps the seeds of different batches and studies apart.
+    # With a prime factor, batches of different studies have different seeds.
     batch_seed = (seed * 7919 + batch) % (1 << 31)
     if batch < RANDOM_BATCHES:
         return RandomSampler(seed=batch_seed)

@@ -64,10 +64,10 @@ class ProcessPool:
 
     @staticmethod
     def _start() -> "subprocess.Popen[bytes]":
-        # One core each: numerical libraries that start threads of their own would fight over the cores.
+        # Each worker uses one core. Threads of the numerical libraries would compete for the cores.
         environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         command = [sys.executable, "-m", "handctl.tune.search.worker"]
-        # Out of reach of the terminal's Ctrl-C, also while it imports.
+        # In a separate session the worker does not receive the terminal's Ctrl-C, also during its imports.
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
