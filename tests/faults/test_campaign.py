@@ -22,7 +22,7 @@ from handctl.campaign.scenarios import (
     fault_pairs,
     scenarios,
 )
-from handctl.campaign.stage import FREE_S, advance_to, hand_with_protocol, homed_run, run_in_branches
+from handctl.campaign.stage import FAULT_DELAY_S, advance_to, hand_with_protocol, homed_run, run_in_branches
 from handctl.cli.studies.fault_campaign import default_rate
 from handctl.core.types import Event, Mode
 from handctl.hand.load import load_hand
@@ -164,7 +164,7 @@ def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
         advance_to(simulation, ARMING)
         advance_to(simulation, FREE)
         free = [out for _, out in simulation.recorded if out.phase == "free"]
-        assert len(free) * simulation.period_ns == pytest.approx(FREE_S * 1e9, abs=2 * simulation.period_ns)
+        assert len(free) * simulation.period_ns == pytest.approx(FAULT_DELAY_S * 1e9, abs=2 * simulation.period_ns)
         speed = free[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0
 

@@ -72,7 +72,7 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
         monkeypatch.setattr(sequences, "RUNAWAY", explains)
         run_in_branches(arming, [sequence], 1, run_sequence, results.append, lambda simulation, result: None)
     assert (results[0].ok, results[1].ok) == (True, False)
-    assert results[1].problem.endswith("N in a tendon, at most 140 N are explained")
+    assert results[1].problem.endswith("N in a tendon, at most 140 N expected")
     assert results[0].tension == results[1].tension
 
 

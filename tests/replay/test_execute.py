@@ -40,7 +40,7 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh: Pat
         assert "B17 some nodes do not hear" in texts
         result = execute_log(log)
         assert result.ticks == len(log) > 300
-    assert (result.differing, result.undecided, result.first, result.largest) == (0, 0, None, None)
+    assert (result.differing, result.different_decisions, result.first, result.largest) == (0, 0, None, None)
     assert is_within_tolerance(result, 0.0)
     assert result.times_real_time > 0
 
@@ -52,7 +52,7 @@ def test_golden_logs_decide_the_same_within_1e_9(golden: Path, name: str) -> Non
         assert not log.warning
         result = execute_log(log)
         assert result.ticks == len(log) > 300
-    assert result.undecided == 0, result.first
+    assert result.different_decisions == 0, result.first
     assert is_within_tolerance(result, 1e-9), result.largest
 
 

@@ -14,12 +14,12 @@ from handctl.safety.action import Action
 from handctl.session.simulate import Simulation
 
 QUICK_EVERY = 7
-"""Step between scenarios in a quick campaign: every seventh scenario is run."""
+"""Interval of a quick campaign, which runs every seventh scenario."""
 NOISE_FACTOR = 3.0
 """Factor for the specified sensor noise in the run without faults."""
 FRAME_LOSS = 0.001
 """Probability that a frame is lost in the run without faults."""
-RUN_NS = 8_000_000_000
+MAX_RUN_NS = 8_000_000_000
 """Longest run of the hand without faults [ns]."""
 LAST_PHASE = "hold"
 """Phase at the end of a successful run."""
@@ -152,8 +152,8 @@ def run_campaign(
 def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
     """Return the false alarms in a run without faults, with increased noise and frame loss.
 
-    The hand moves and grasps repeatedly. A run without any grasp tests too little, and counts as an
-    alarm.
+    The hand moves and grasps repeatedly. A run that does not reach a grasp counts as an alarm, because
+    it tests too little.
     """
     alarms: list[str] = []
     remaining_s = seconds
@@ -169,7 +169,7 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
                 out = simulation.tick()
                 remaining_s -= simulation.period_ns * 1e-9
                 alarms += [event.text for event in out.events if event.name == "fault" and _is_hold_or_more(event)]
-                ended = out.mode == Mode.DONE or simulation.k * simulation.period_ns >= RUN_NS
+                ended = out.mode == Mode.DONE or simulation.k * simulation.period_ns >= MAX_RUN_NS
             if ended and len(alarms) == alarms_before and simulation.out and simulation.out.phase != LAST_PHASE:
                 alarms.append(f"seed {seed} did not reach a grasp: {simulation.state.failure or simulation.out.phase}")
         seed += 1

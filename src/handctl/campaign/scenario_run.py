@@ -16,15 +16,15 @@ from handctl.safety.action import Action
 from handctl.session.simulate import Simulation
 
 OBSERVE_S = 1.3
-"""Time to observe after the bound, until no torque remains [s]."""
+"""Time of observation after the largest allowed reaction time, until no torque remains [s]."""
 RUNAWAY = "runaway"
 """Name of the fault in which a drive pulls with its own torque limit, regardless of commands."""
 SHUT_DOWN_MODES = (Mode.DISARM, Mode.DONE)
-"""Modes of the hand after the reaction."""
-SECOND_AT_TICKS = 5
-"""Number of ticks between the two faults of a pair."""
-PAIR_TICKS = 2
-"""Additional delay allowed for a pair of faults, for a missed tick and the next tick [ticks]."""
+"""Modes in which the hand shuts down."""
+PAIR_DELAY_TICKS = 5
+"""Number of ticks from the first fault of a pair to the second."""
+PAIR_EXTRA_TICKS = 2
+"""Additional reaction time allowed for a pair of faults, for a missed tick and the next tick [ticks]."""
 
 
 @dataclass
@@ -35,7 +35,7 @@ class ScenarioResult:
         scenario: description of the scenario.
         id: row of the matrix.
         stage: stage of the run.
-        effects: number of times the injected fault took effect. At least one proves a valid test.
+        effects: number of times the injected fault took effect. Without effect the test is not valid.
         ticks: number of ticks from the physical event to the frames with the reaction, -1 without a
             reaction.
         bound: largest allowed number of ticks.
@@ -44,8 +44,8 @@ class ScenarioResult:
             never happens.
         tension: largest true tension after the event [N].
         tension_bound: largest expected tension [N], see the function `tension_bound`.
-        ok: True if the fault took effect, was detected as one of the allowed rows, and the reaction
-            was in time.
+        ok: True if the fault took effect and was detected as one of the allowed rows, the reaction was
+            in time, no torque remained, and the tension was below its bound.
         problem: reason why the result is not ok.
     """
 
@@ -84,7 +84,7 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
         protocol: protocol of the drives.
     """
     row = scenario.row
-    bound = row.bound(protocol, simulation.period_ns / 1e6) + (PAIR_TICKS if scenario.second else 0)
+    bound = row.bound(protocol, simulation.period_ns / 1e6) + (PAIR_EXTRA_TICKS if scenario.second else 0)
     result = ScenarioResult(scenario.name, row.id, scenario.stage, bound=bound)
     start_ns = simulation.k * simulation.period_ns
     start_tension = simulation.peer.truth()["tension"]
@@ -93,12 +93,12 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
     if host is None:
         simulation.peer.inject(scenario.fault)
     second_host = Host(scenario.second.removeprefix(HOST_PREFIX)) if scenario.second.startswith(HOST_PREFIX) else None
-    for i in range(bound + SECOND_AT_TICKS + round(OBSERVE_S * 1e9 / simulation.period_ns)):
+    for i in range(bound + PAIR_DELAY_TICKS + round(OBSERVE_S * 1e9 / simulation.period_ns)):
         inputs: dict[str, Any] = {"requests": (CUT,)} if i == 1 and row.id == "N16" else {}
         inputs |= host.at(i, simulation) if host else {}
-        if i == SECOND_AT_TICKS and second_host:
+        if i == PAIR_DELAY_TICKS and second_host:
             inputs |= second_host.at(0, simulation)
-        elif i == SECOND_AT_TICKS and scenario.second:
+        elif i == PAIR_DELAY_TICKS and scenario.second:
             simulation.peer.inject(scenario.second)
         t_ns = (simulation.k + int(inputs.get("skip", 0))) * simulation.period_ns
         # A host that stood still is judged from the tick in which it wakes up.
@@ -205,12 +205,12 @@ def _observe_tick(
         is_expected = event.text.startswith(tuple(filter(None, row.rows))) or not any(row.rows) or scenario.second
         if not result.detected_by and is_report and is_expected:
             result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
-    # A mode beyond the required action counts as well. RELAX does not count as CUT.
+    # A mode that is more severe than the required action is a reaction too. RELAX is not sufficient for CUT.
     reacted = out.action >= row.action or (
         row.action >= Action.RELAX and out.mode in (*SHUT_DOWN_MODES, Mode.RELAX, Mode.CUT)
     )
     reacted = reacted and not (row.action == Action.CUT and out.mode == Mode.RELAX)
-    # H01 is logged only, so detection is the reaction.
+    # The fault H01 is only logged, so its detection counts as the reaction.
     if row.id == "H01":
         reacted = bool(result.detected_by)
     if result.ticks < 0 and reacted and (result.detected_by or not any(row.rows) or out.mode in SHUT_DOWN_MODES):
@@ -233,7 +233,7 @@ def _judge_result(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
     if row.action >= Action.RELAX and result.effects and result.safe_ticks < 0:
         problems.append("torque remains")
     if result.tension > result.tension_bound:
-        problems.append(f"{result.tension:.0f} N in a tendon, at most {result.tension_bound:.0f} N are explained")
+        problems.append(f"{result.tension:.0f} N in a tendon, at most {result.tension_bound:.0f} N expected")
     result.ok = not problems
     result.problem = "; ".join(problems)
     return result

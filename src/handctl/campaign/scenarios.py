@@ -31,19 +31,19 @@ REPORT_DELAY_MS = {ODRIVE: 100.0}
 """Longest delay until a drive reports its state, by protocol [ms]."""
 RESTART_TICKS = {CIA402: 2}
 """Number of ticks in which a drive is silent during a restart, by protocol."""
-LATE_MS = 7.0
-"""Delay with which a frame is late at every control rate [ms]."""
-LATE_TICKS = 1.5
-"""Smallest such delay, in control periods."""
+MIN_LATE_MS = 7.0
+"""Smallest value of the place holder {late} [ms]."""
+MIN_LATE_TICKS = 1.5
+"""Smallest value of the place holder {late}, in control periods."""
 JUMP_RAD = 1.0
 """Position step impossible for any drive within two periods [rad]."""
 JUMP_MS = 5.0
-"""Control period above which this step grows in proportion to the period [ms]."""
+"""Control period above which the position step grows in proportion to the period [ms]."""
 NOISE_RAD = 0.04
 """Position noise impossible for any drive within a period [rad]."""
 NOISE_MS = 5.0
-"""Control period above which this noise grows with the square of the period [ms]."""
-READABLE_N = 0.9 * TENSION_RAIL_N
+"""Control period above which the position noise grows with the square of the period [ms]."""
+MAX_READABLE_TRIP_N = 0.9 * TENSION_RAIL_N
 """Largest trip tension that can be distinguished from a saturated load cell (T06) [N]."""
 HOST_PREFIX = "host "
 """Prefix of faults of the host: I/O events, missed ticks, requests."""
@@ -54,7 +54,7 @@ class MatrixRow(NamedTuple):
 
     Attributes:
         id: row of the fault catalogue.
-        fault: command for the simulator, or text that begins with HOST. Place holders for the
+        fault: command for the simulator, or text that begins with HOST_PREFIX. Place holders for the
             instance: {node}, {tendon}, {digit}, {bus} or {joint}, and {other} for the next motor.
             Place holders for sizes: {trip} and {limit} for a tendon's tension_trip_N and
             drive_limit_N, {late} for a delay that is late at the control rate [ms], {jump} and
@@ -246,11 +246,11 @@ UNTESTED_ROWS = {
     "B18": "before arming: unit tests with error frames", "N03": "before arming: tests of the modes",
     "T07": "commissioning: its own tests",
     "T09": "needs minutes of motion: tests of the residuals", "H05": "real processes: tests/runtime",
-    "H07": "real processes: tests of the loop", "H11": "real processes, as root in a guest: tests/vcan",
+    "H07": "real processes: tests of the loop", "H11": "real processes, as root in a virtual machine: tests/vcan",
     "H12": "real processes",
     "H14": "real processes", "H15": "the soak",
 }  # fmt: skip
-"""Catalogue rows of sections 2.1 to 2.4 that are not in the matrix, with the place of their tests."""
+"""Rows of sections 2.1 to 2.4 of the fault catalogue that are not in the matrix, with the place of their tests."""
 
 
 def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
@@ -274,14 +274,14 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     """Return all pairs of the rows for pairs, in a grasp.
 
     The fault with the more severe reaction comes first. The other fault comes a few ticks later on
-    another instance. A row without an instance in the hand, such as a load cell, has no pair. The control
-    period is in ms.
+    another instance. A row whose instance is missing from the hand, such as a load cell, has no pair.
+    `period_ms` is the control period [ms].
     """
     rows = [next(row for row in MATRIX if row.id == id_ and protocol in row.protocols) for id_ in PAIRED_ROWS]
     selected = []
     for i, first in enumerate(rows):
         for second in rows[i + 1 :]:
-            # The required reaction is that of the stronger action.
+            # The pair must have the more severe reaction of its two faults.
             main, other = (first, second) if first.action >= second.action else (second, first)
             texts = texts_of_fault(hand, main.fault, period_ms)
             second_texts = texts_of_fault(hand, other.fault, period_ms)
@@ -295,7 +295,7 @@ def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
     if fault.startswith(HOST_PREFIX):
         return [fault]
     sizes = {
-        "late": max(LATE_MS, LATE_TICKS * period_ms),
+        "late": max(MIN_LATE_MS, MIN_LATE_TICKS * period_ms),
         "jump": JUMP_RAD * max(1.0, period_ms / JUMP_MS),
         "rough": NOISE_RAD * max(1.0, (period_ms / NOISE_MS) ** 2),
     }
@@ -319,8 +319,8 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
             }
             for tendon in hand.tendon
             if not of_cell or tendon.name in hand.sensor_node.tendons
-            # A trip near the rail of the load cell would be reported as saturation.
-            if not limited or tendon.tension_trip_N < READABLE_N
+            # A trip tension near the rail of the load cell would be reported as saturation.
+            if not limited or tendon.tension_trip_N < MAX_READABLE_TRIP_N
         ]
     if "{other}" in fault:
         motors = [motor.name for motor in hand.motor]

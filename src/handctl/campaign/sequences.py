@@ -37,18 +37,18 @@ BRIEF_MS = (5, 200)
 """Shortest and longest duration of a fault that ends by itself [ms]."""
 PERMANENT_FAULTS = ("snap", "slack")
 """Faults that never end by themselves."""
-BETWEEN_FRACTION = 0.2
+HOST_STEP_FRACTION = 0.2
 """Fraction of the steps that are requests or faults of the host."""
 BRIEF_FRACTION = 0.6
-"""Fraction of the other faults with an end."""
-HOST_ITEMS = (
+"""Fraction of the simulator's faults that end by themselves."""
+HOST_STEPS = (
     f"{HOST_PREFIX}ask stop",
     f"{HOST_PREFIX}ask clear",
     f"{HOST_PREFIX}ask nonsense 1",
     f"{HOST_PREFIX}skip 3",
     f"{HOST_PREFIX}late 0.3",
 )
-"""Requests and host faults between the faults of the simulator."""
+"""Requests and faults of the host, from which a sequence draws."""
 SHUTDOWN_S = 2.5
 """Time to observe after the stop, for relaxing, disarming, their timeouts, and an ODrive's heartbeat [s]."""
 WATCHDOG_S = 0.05
@@ -101,15 +101,15 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Seq
     The result depends only on the seed, the hand, the protocol and the control period [ms].
     """
     chance = random.Random(f"sequence {seed}")
-    # Every row has the same chance, whatever its number of instances.
+    # Every row has the same probability, independent of its number of instances.
     rows = [row for row in MATRIX if protocol in row.protocols]
     count = chance.randint(MIN_FAULTS, MAX_FAULTS)
     steps = []
     for tick in sorted(chance.sample(range(SEQUENCE_TICKS), count)):
-        if chance.random() < BETWEEN_FRACTION:
-            steps.append(FaultStep(tick, chance.choice(HOST_ITEMS)))
+        if chance.random() < HOST_STEP_FRACTION:
+            steps.append(FaultStep(tick, chance.choice(HOST_STEPS)))
             continue
-        fault = chance.choice(texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_ITEMS))
+        fault = chance.choice(texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_STEPS))
         brief = (
             not fault.startswith((HOST_PREFIX, *PERMANENT_FAULTS))
             and " for=" not in fault
@@ -129,7 +129,7 @@ def run_sequences(
     on_progress: Callable[[int], None],
     on_failure: Callable[[Simulation, ScenarioResult], None],
 ) -> list[ScenarioResult]:
-    """Run sequences. Each branches off from a run at its stage.
+    """Run sequences, each in a copy of a run at the sequence's stage.
 
     Args:
         hand: hand with its drives in `protocol`.
@@ -174,7 +174,7 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
     active_faults = sum(int(fault["felt"]) > 0 for fault in simulation.peer.fault_states())
     bound = _tension_bound(simulation, sequence, start_tension)
     if tension > bound:
-        violations.append(f"{tension:.0f} N in a tendon, at most {bound:.0f} N are explained")
+        violations.append(f"{tension:.0f} N in a tendon, at most {bound:.0f} N expected")
     violations += [*violations_at_end(simulation), *violations_on_replay(simulation, *start)]
     problem = "; ".join(dict.fromkeys(violations))
     return ScenarioResult(
@@ -209,7 +209,7 @@ def _sequence_ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict
 
 
 def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
-    """Return the rules that a tick violates."""
+    """Return a description of each rule that a tick violates."""
     violations = []
     if MODES_IN_ORDER.index(after.mode) < MODES_IN_ORDER.index(before.mode):
         violations.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
@@ -218,7 +218,7 @@ def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
         violations.append(f"no longer latched: {', '.join(sorted(mark.id for mark in unlatched))}")
     if before.mode == after.mode == Mode.RELAX and np.any(after.view("setpoint") > before.view("setpoint") + 1e-9):
         violations.append("a setpoint rises while the hand relaxes")
-    # The relative tolerance covers rounding of the torque that is sent.
+    # The relative tolerance covers the rounding of the torque in the frames.
     if after.mode == Mode.RELAX and np.any(after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)):
         violations.append("a motor is commanded to pull harder while the hand relaxes")
     return violations
@@ -239,7 +239,7 @@ def _tension_bound(simulation: Simulation, sequence: Sequence, start_tension: li
 
 
 def violations_at_end(simulation: Simulation) -> list[str]:
-    """Return the rules that the end of a run violates."""
+    """Return a description of each rule that the end of a run violates."""
     state = simulation.state
     names = simulation.controller.model.hand.tendon_names
     if state.mode != Mode.DONE:

@@ -38,10 +38,10 @@ TASK: dict[str, Any] = {
         {"kind": "hold", "tension_N": 24.0, "rate_N_per_s": 30.0, "duration_s": 60.0},
     ],
 }
-"""Task of all runs: a free motion, then a grasp that lasts."""
+"""Task of all runs: a free motion, then a grasp that is held for the rest of the run."""
 STAGES = (ARMING, FREE, GRASP)
 """Stages of a run in order of time."""
-FREE_S = 0.2
+FAULT_DELAY_S = 0.2
 """Time after the start of the free motion at which faults begin [s]."""
 STAGE_TIMEOUT_S = 12.0
 """Longest time to the next stage [s]."""
@@ -109,7 +109,7 @@ def advance_to(simulation: Simulation, stage: str) -> None:
             return bool(out.mode == Mode.ARMING)
         # In a grasp at least one digit is in contact, and some tendon is above 16 N.
         free_ticks += out.phase == "free"
-        free = free_ticks * simulation.period_ns > FREE_S * 1e9
+        free = free_ticks * simulation.period_ns > FAULT_DELAY_S * 1e9
         holds = out.phase == "hold" and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
         return bool(free if stage == FREE else holds)
 

@@ -25,7 +25,7 @@ from handctl.core.gains.gains import packaged_gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut, Vector
 from handctl.errors import ConfigError
-from handctl.gym.observed import FIELDS, Numbers, ObservationLayout, Part, telemetry_part
+from handctl.gym.observed import FIELD_OF_NAME, Numbers, ObservationLayout, ObservationPart, telemetry_part
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import REFUSED_PREFIX, target_text
@@ -40,7 +40,7 @@ The stream of targets has the nearest rate whose period is a whole number of tic
 """
 SPEED_DEG_S = 60.0
 """Default for the largest rate of change of a target [deg/s], a fifth of the default limit of a stream."""
-READY_S = 5.0
+READY_TIMEOUT_S = 5.0
 """Longest time from power-up until the hand accepts targets [s]."""
 STREAM_NAME = "gym"
 """Name of the stream."""
@@ -118,10 +118,10 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         self._streamed: tuple[str, ...] = ()
 
     @abstractmethod
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[ObservationPart]:
         """Return the parts of an observation."""
 
-    def body_parts(self) -> list[Part]:
+    def body_parts(self) -> list[ObservationPart]:
         """Return the parts that all environments have: joint angles and rates, and tensions."""
         largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
         return [
@@ -150,7 +150,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return None
 
     def requests(self, action: Vector) -> list[str]:
-        """Return the requests of a step besides the target of the stream."""
+        """Return the requests of a step in addition to the target of the stream."""
         return []
 
     def streamed(self, action: Vector) -> tuple[str, ...]:
@@ -196,7 +196,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         """Power up a homed hand, and wait until it accepts targets. See ``gymnasium.Env``.
 
         Args:
-            seed: seed of this episode and the following ones: noise, scene and reference.
+            seed: seed for noise, scene and reference of this and the following episodes.
             options: no options are supported.
         """
         super().reset(seed=seed)
@@ -206,8 +206,9 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         run = self._open.enter_context(simulator.against(self._controller))
         run.record = False
         self._run = run
-        if not run.until(lambda out: out.phase == "live", READY_S):
-            raise ConfigError(run.state.failure or "not ready", f"the simulated {self.hand.name}", "a hand that arms")
+        if not run.until(lambda out: out.phase == "live", READY_TIMEOUT_S):
+            problem = run.state.failure or "not ready"
+            raise ConfigError(problem, f"the simulated {self.hand.name}", "a hand that can be armed")
         self.steps = 0
         self._number = 0
         self._streamed = ()
@@ -224,7 +225,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         out = run.tick(requests=tuple(self._step_requests(clipped)))
         refused = [event.text for event in out.events if event.text.startswith(REFUSED_PREFIX)]
         if refused and out.mode == Mode.ACTIVE:
-            raise ConfigError(refused[0], f"the controller of {self.hand.name}", "targets that the hand takes")
+            raise ConfigError(refused[0], f"the controller of {self.hand.name}", "targets within the limits")
         for _ in range(self.ticks - 1):
             if out.mode == Mode.DONE:
                 break
@@ -251,7 +252,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 
     def values_of(self, q: Vector) -> Vector:
-        """Return the value for each name of an action (V,) at joint angles (J,), in the unit of these angles."""
+        """Return the angle of each joint or digit of an action (V,) at joint angles (J,), in the unit of these angles."""
         if self._space == "joint":
             return np.asarray(q)
         return np.array([(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits])
@@ -283,7 +284,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
     def _observation(self) -> Numbers:
         telemetry = self.out.telemetry
         return self.layout.vector(
-            lambda name: getattr(telemetry, FIELDS[name]) if name in FIELDS else self.extra_values(name)
+            lambda name: getattr(telemetry, FIELD_OF_NAME[name]) if name in FIELD_OF_NAME else self.extra_values(name)
         )
 
     def _extra_information(self) -> dict[str, Any]:

@@ -10,13 +10,13 @@ import numpy as np
 from handctl.core.types import Mode, Vector
 from handctl.errors import ConfigError
 from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
-from handctl.gym.observed import Part, telemetry_part
+from handctl.gym.observed import ObservationPart, telemetry_part
 
-PRESS_N = 1.0
-"""Force on the object from which a digit counts as pressing [N]."""
-HELD_S = 1.0
+FULL_REWARD_FORCE_N = 1.0
+"""Force on the object at which the reward for a digit is largest [N]."""
+SUCCESS_HOLD_S = 1.0
 """Time for which the object must stay in the hand after the table begins to sink [s]."""
-FALL_M = 0.015
+DROP_DISTANCE_M = 0.015
 """Fall from which the object counts as dropped [m]."""
 RATE_N_PER_S = 40.0
 """Rate at which a tension approaches that of the action [N/s]."""
@@ -69,7 +69,7 @@ class GraspEnv(HandEnv):
         """Return the scene of the next episode: a cylinder of random diameter."""
         return f"cylinder:{self.np_random.uniform(*self._diameter_mm):.2f}"
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[ObservationPart]:
         """Return the parts of an observation: joint angles and rates, tensions, tip forces, and contacts."""
         return [
             *self.body_parts(),
@@ -90,7 +90,7 @@ class GraspEnv(HandEnv):
         engine = self.world.plant.engine
         self._forces = engine.forces_on("contact", list(self.hand.digit_names))
         self._height_m = engine.object_pose()[2]
-        if max(np.abs(self._forces())) > PRESS_N:
+        if max(np.abs(self._forces())) > FULL_REWARD_FORCE_N:
             scene = self.world.plant.scene.name
             raise ConfigError(f"{scene} touches the open {self.hand.name}", "diameter_mm", "a smaller object")
         self._pressing = 0.0
@@ -105,7 +105,7 @@ class GraspEnv(HandEnv):
         return [json.dumps({"do": "hold", "tension_N": new, "rate_N_per_s": RATE_N_PER_S})] if new else []
 
     def streamed(self, action: Vector) -> tuple[str, ...]:
-        """Return the joints or digits of those digits that hold no tension."""
+        """Return the names of the action that belong to digits without a held tension."""
         moves = self._tensions(action) <= 0.0
         return tuple(name for name, d in zip(self.names, self._digit_of, strict=True) if moves[d])
 
@@ -117,14 +117,14 @@ class GraspEnv(HandEnv):
     def judge(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward, True if the object is held or dropped, and information about the object."""
         forces = np.linalg.norm(np.reshape(self._forces(), (-1, 3)), axis=1)
-        pressing = float(np.minimum(forces / PRESS_N, 1.0).mean())
+        pressing = float(np.minimum(forces / FULL_REWARD_FORCE_N, 1.0).mean())
         reward = pressing - self._pressing
         self._pressing = pressing
         plant = self.world.plant
         fallen_m = self._height_m - plant.engine.object_pose()[2]
         since = plant.table.dropped_at
-        dropped = fallen_m > FALL_M
-        held = since is not None and plant.t_ns / 1e9 - since >= HELD_S and not dropped
+        dropped = fallen_m > DROP_DISTANCE_M
+        held = since is not None and plant.t_ns / 1e9 - since >= SUCCESS_HOLD_S and not dropped
         if held:
             reward += SUCCESS_REWARD
         elif dropped or self.out.mode != Mode.ACTIVE:

@@ -13,11 +13,11 @@ from handctl.runtime.observations import PUBLISHED_NAMES
 
 Numbers = NDArray[np.float32]
 """Type of an observation or action."""
-FIELDS = {name: field for field, name in PUBLISHED_NAMES.items()}
+FIELD_OF_NAME = {name: field for field, name in PUBLISHED_NAMES.items()}
 """Telemetry field for each name in an observation."""
 
 
-class Part(NamedTuple):
+class ObservationPart(NamedTuple):
     """Values of an observation with the same meaning.
 
     Attributes:
@@ -38,10 +38,10 @@ class ObservationLayout:
     Attributes:
         parts: parts in order.
         names: name of every value with its unit, e.g. ``q_rad[index_j1]``.
-        space: bounds of the vector. Values beyond a bound are clipped to it.
+        space: bounds of the vector. Values beyond a bound are clipped.
     """
 
-    def __init__(self, parts: Sequence[Part]) -> None:
+    def __init__(self, parts: Sequence[ObservationPart]) -> None:
         """Arrange the parts one after the other."""
         self.parts = tuple(parts)
         self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.axis])
@@ -61,12 +61,12 @@ class ObservationLayout:
         return np.asarray(inside, np.float32)
 
 
-def telemetry_part(hand: Hand, name: str, low: float, high: float) -> Part:
-    """Return the part of an observation for a telemetry value, by its name, e.g. ``q_rad``."""
+def telemetry_part(hand: Hand, name: str, low: float, high: float) -> ObservationPart:
+    """Return the part of an observation for the telemetry with a name such as ``q_rad``."""
     axis: Mapping[str, tuple[str, ...]] = {
         "joint": hand.joints,
         "tendon": hand.tendon_names,
         "motor": tuple(motor.name for motor in hand.motor),
         "digit": hand.digit_names,
     }
-    return Part(name, axis[TELEMETRY_AXES[FIELDS[name]]], low, high)
+    return ObservationPart(name, axis[TELEMETRY_AXES[FIELD_OF_NAME[name]]], low, high)

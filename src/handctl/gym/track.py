@@ -10,17 +10,17 @@ import numpy as np
 from handctl.core.types import Vector
 from handctl.errors import ConfigError
 from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
-from handctl.gym.observed import Part
+from handctl.gym.observed import ObservationPart
 
-SCALE_DEG = 5.0
+HALF_REWARD_ERROR_DEG = 5.0
 """Tracking error at which the reward is half the largest reward [deg]."""
 ANGLE_RANGE = (0.15, 0.55)
 """Lowest and highest reference angle, as fractions of the range."""
 PERIODS_S = (1.5, 4.0)
 """Range for the periods of the two sines in the reference [s]."""
-FASTEST_DEG_S = 45.0
+MAX_REFERENCE_RATE_DEG_S = 45.0
 """Largest rate of change of the reference after the start [deg/s]."""
-START_S = 1.0
+BLEND_S = 1.0
 """Time in which the reference changes from the initial posture to the sines [s]."""
 
 
@@ -55,12 +55,12 @@ class TrackEnv(HandEnv):
         self._span = span
         super().__init__(hand, space, duration_s, perturb, speed_deg_s)
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[ObservationPart]:
         """Return the parts of an observation: angles and rates, tensions, references now and after the horizon."""
         return [
             *self.body_parts(),
-            Part("reference_rad", self.names, -math.pi, math.pi),
-            Part("reference_ahead_rad", self.names, -math.pi, math.pi),
+            ObservationPart("reference_rad", self.names, -math.pi, math.pi),
+            ObservationPart("reference_ahead_rad", self.names, -math.pi, math.pi),
         ]
 
     def begin(self) -> None:
@@ -72,13 +72,13 @@ class TrackEnv(HandEnv):
         self._phase = self.np_random.uniform(0.0, 2.0 * np.pi, shape)
         self._middle = low + sum(self._span) / 2.0 * (high - low)
         swing = (self._span[1] - self._span[0]) / 2.0 * (high - low) * np.array([[0.6], [0.4]])
-        self._swing = np.minimum(swing, 0.5 * FASTEST_DEG_S / self._rate)
+        self._swing = np.minimum(swing, 0.5 * MAX_REFERENCE_RATE_DEG_S / self._rate)
         self._start = self._coordinates_of(self.out.telemetry.q)
 
     def reference_deg(self, t_s: float) -> Vector:
         """Return the reference of each joint or digit (V,) at a time of the episode [deg]."""
         course = self._middle + (self._swing * np.sin(self._rate * t_s + self._phase)).sum(axis=0)
-        s = min(t_s / START_S, 1.0)
+        s = min(t_s / BLEND_S, 1.0)
         blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         angles = np.degrees(self._start) * (1.0 - blend) + course * blend
         return angles if self._space == "digit" else self._joints_of(angles)
@@ -92,7 +92,7 @@ class TrackEnv(HandEnv):
         """Return the reward from the true tracking error, and the error itself."""
         error = np.degrees(self.values_of(self.true_q)) - self.reference_deg(self.t_s)
         rms = float(np.sqrt(np.mean(error**2)))
-        return 1.0 / (1.0 + (rms / SCALE_DEG) ** 2), False, {"error_deg": rms}
+        return 1.0 / (1.0 + (rms / HALF_REWARD_ERROR_DEG) ** 2), False, {"error_deg": rms}
 
     def _limits_deg(self) -> tuple[Vector, Vector]:
         """Return the range of each reference value [deg], for digits or for the coordinates of joints."""

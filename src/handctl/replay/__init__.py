@@ -1,1 +1,1 @@
-"""Use of a recorded run: re-execution, driving again, judgement by other limits, comparison."""
+"""Use of a recorded run: re-execution, repetition of the motion, judgement by other limits, comparison."""

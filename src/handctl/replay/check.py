@@ -63,7 +63,7 @@ def _check_clock(log: RunLog) -> Iterator[str]:
 def _check_frames(log: RunLog) -> Iterator[str]:
     """Check for frames stamped after the tick that read them.
 
-    Such frames were stamped by a clock other than the controller's.
+    The time stamps of such frames come from another clock than the clock of the controller.
     """
     future = 0
     last = -1

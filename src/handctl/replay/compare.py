@@ -15,13 +15,13 @@ Array = NDArray[np.float64]
 MAX_DELAY_S = 0.2
 """Largest delay considered [s]."""
 MIN_MOTION = 0.05
-"""Smallest motion from which a delay is computed, as a fraction of the signal's largest value."""
+"""Smallest range of a signal from which a delay is computed, as a fraction of the signal's largest value."""
 MAX_UNEXPLAINED = 0.1
-"""Largest fraction of a signal's variance not explained by a delay.
+"""Largest fraction of a signal's variance that may remain after the shift by a delay.
 
-A delay that leaves a larger fraction is a result of chance or noise.
+If a larger fraction remains, the delay is a result of chance or noise.
 """
-IN_TIME_MS = 0.05
+MIN_REPORTED_DELAY_MS = 0.05
 """Delay below which "in time" is printed [ms]."""
 
 SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
@@ -99,13 +99,13 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     if reach < 1 or not np.ptp(before) > MIN_MOTION * np.abs(before).max():
         return float("nan")
     inner = slice(reach, len(before) - reach)
-    # `roll` wraps around. `inner` excludes the wrapped rows.
+    # `roll` moves rows from one end to the other end. `inner` excludes these rows.
     residual = np.array([np.var(np.roll(after, -shift)[inner] - before[inner]) for shift in range(-reach, reach + 1)])
     best = int(np.argmin(residual))
     if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED * np.var(before[inner]):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
-    # Second difference of the variance. A minimum has a positive one, a flat one is not refined.
+    # Second difference of the variance. If it is not positive, the minimum is flat and is not refined.
     bend = earlier - 2.0 * lowest + later
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 
@@ -152,7 +152,7 @@ def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
         unit = signal.partition("_")[2]
         for name, row in rows.items():
             ms = 1e3 * row["delay_s"]
-            late = "" if math.isnan(ms) else ", in time" if abs(ms) < IN_TIME_MS else f", {_delay_text(ms)}"
+            late = "" if math.isnan(ms) else ", in time" if abs(ms) < MIN_REPORTED_DELAY_MS else f", {_delay_text(ms)}"
             if not math.isnan(row["rms"]):
                 yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}"
 

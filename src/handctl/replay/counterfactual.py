@@ -17,7 +17,7 @@ from handctl.replay.compare import rms_and_peak
 Array = NDArray[np.float64]
 LOGGED_COLOR = "#3b6fb6"
 """Line colour of the log."""
-OTHER_COLOUR = "#d9822b"
+OTHER_COLOR = "#d9822b"
 """Line colour of the other gains."""
 
 
@@ -80,7 +80,7 @@ def draw_commands(path: Path, log: RunLog, commands: Commands, title: str) -> No
         for i, name in enumerate(names):
             axes = rows[i, column]
             axes.plot(log.times, was[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged")
-            axes.plot(log.times, now[:, i], color=OTHER_COLOUR, linewidth=0.7, label="these gains")
+            axes.plot(log.times, now[:, i], color=OTHER_COLOR, linewidth=0.7, label="these gains")
             axes.set_ylabel(f"{name}\n{unit}", fontsize=8)
             axes.grid(alpha=0.3)
             axes.margins(x=0)

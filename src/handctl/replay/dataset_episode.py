@@ -23,17 +23,20 @@ from handctl.programs.task import FOLLOW_SPEED_DEG_S
 
 Array = NDArray[np.float64]
 
-VERSION = "v3."
+VERSION_PREFIX = "v3."
 """Beginning of the codebase version of a dataset."""
 POSITION_SUFFIX = ".pos_rad"
 """End of the name of a joint angle in an action."""
 MAX_CLIPPED_DEG = 3.0
-"""Angle beyond the range of a joint that is clipped [deg]. An estimated angle at a stop may be that far beyond."""
-RATES_HZ = (1.0, 1000.0)
-"""Lowest and highest frame rate."""
+"""Largest angle beyond the range of a joint that is clipped [deg].
+
+At a stop an estimated angle may be beyond the range.
+"""
+FRAME_RATE_RANGE_HZ = (1.0, 1000.0)
+"""Lowest and highest frame rate of a dataset [Hz]."""
 MAX_EPISODE_S = 3600.0
-"""Longest episode, as the longest trajectory [s]."""
-LARGEST_INFO = 1 << 24
+"""Longest episode [s], equal to the longest trajectory of a trajectory file."""
+MAX_INFO_BYTES = 1 << 24
 """Largest `info.json` [bytes]."""
 
 
@@ -43,31 +46,36 @@ def find_episode(dataset: Path, episode: int, hand: Hand, period: float, speed_d
     Args:
         dataset: folder of the dataset, with `meta` and `data`.
         episode: number of the episode, from 0.
-        hand: hand that shall follow.
+        hand: hand that will follow the episode.
         period: control period [s].
         speed_deg_s: limit on the steps from frame to frame [deg/s]. None: a joint that is too fast is refused.
 
     Raises:
-        ConfigError: no such dataset or episode, it does not suit the hand, or an angle or a speed is out of range.
+        ConfigError: the dataset or the episode does not exist, the episode lacks joints of the hand, or an angle or a
+            speed is out of range.
     """
     info = _read_info(dataset)
     rate = info.get("fps")
-    if not isinstance(rate, int | float) or not RATES_HZ[0] <= rate <= RATES_HZ[1]:
-        raise ConfigError(_value_text(rate), f"{_info_path(dataset)}: fps", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
+    if not isinstance(rate, int | float) or not FRAME_RATE_RANGE_HZ[0] <= rate <= FRAME_RATE_RANGE_HZ[1]:
+        raise ConfigError(
+            _value_text(rate),
+            f"{_info_path(dataset)}: fps",
+            f"{FRAME_RATE_RANGE_HZ[0]:g} to {FRAME_RATE_RANGE_HZ[1]:g} Hz",
+        )
     where = f"{dataset}: episode {episode}"
     actions = _read_actions(dataset, info, episode)
     if not 2 <= len(actions) <= MAX_EPISODE_S * rate:
         raise ConfigError(f"{len(actions)} frames", where, f"2 to {MAX_EPISODE_S * rate:.0f}")
-    angles = _within_range(_joint_angles(actions, info, hand, dataset), hand, where)
+    angles = _clip_to_range(_joint_angles(actions, info, hand, dataset), hand, where)
     if speed_deg_s is not None:
         if not 0.0 < speed_deg_s <= FOLLOW_SPEED_DEG_S:
             raise ConfigError(f"{speed_deg_s:g} deg/s", "--speed", f"above 0, at most {FOLLOW_SPEED_DEG_S:g}")
-        angles = _rate_limited(angles, np.radians(speed_deg_s) / rate)
-    return _sampled(angles, float(rate), hand, period, where)
+        angles = _limit_rate(angles, np.radians(speed_deg_s) / rate)
+    return _smooth_curve(angles, float(rate), hand, period, where)
 
 
 def _info_path(dataset: Path) -> Path:
-    """Return the path of the description of a dataset."""
+    """Return the path of the file that describes a dataset."""
     return dataset / "meta" / "info.json"
 
 
@@ -75,12 +83,12 @@ def _read_info(dataset: Path) -> Mapping[str, Any]:
     """Read the description of a dataset.
 
     Raises:
-        ConfigError: it is no description of a dataset of this version.
+        ConfigError: the file does not describe a dataset of this version.
     """
     path = _info_path(dataset)
     right = "a LeRobot dataset (3.0)"
     try:
-        if path.stat().st_size > LARGEST_INFO:
+        if path.stat().st_size > MAX_INFO_BYTES:
             raise ConfigError("too large", str(path), right)
         info = json.loads(path.read_text("utf-8"))
     except OSError as error:
@@ -88,7 +96,7 @@ def _read_info(dataset: Path) -> Mapping[str, Any]:
     except (ValueError, RecursionError):
         raise ConfigError("is no JSON", str(path), right) from None
     version = info.get("codebase_version") if isinstance(info, dict) else None
-    if not isinstance(version, str) or not version.startswith(VERSION):
+    if not isinstance(version, str) or not version.startswith(VERSION_PREFIX):
         raise ConfigError(f"version {_value_text(version)}", str(path), right)
     return dict(info)
 
@@ -126,7 +134,7 @@ def _read_episodes(dataset: Path) -> pa.Table:
     """Return the table of all episodes.
 
     Raises:
-        ConfigError: it is missing or damaged.
+        ConfigError: the table is missing or damaged.
     """
     paths = sorted((dataset / "meta" / "episodes").glob("*/*.parquet"))
     if not paths:
@@ -139,7 +147,7 @@ def _read_table(path: Path, columns: list[str]) -> pa.Table:
     """Read columns of a Parquet file.
 
     Raises:
-        ConfigError: it is missing or damaged, or has no such column.
+        ConfigError: the file is missing or damaged, or lacks a column.
     """
     try:
         table = pq.read_table(path, columns=columns)
@@ -170,7 +178,7 @@ def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: 
     return actions[:, [names.index(name) for name in wanted]]
 
 
-def _within_range(angles: Array, hand: Hand, where: str) -> Array:
+def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
     """Return the angles, with small excursions beyond the range of the joints clipped.
 
     Raises:
@@ -187,15 +195,15 @@ def _within_range(angles: Array, hand: Hand, where: str) -> Array:
     return np.clip(angles, low, high)
 
 
-def _rate_limited(angles: Array, step: float) -> Array:
-    """Return angles (frames, J) that follow the given ones by at most a step from frame to frame [rad]."""
+def _limit_rate(angles: Array, step: float) -> Array:
+    """Return angles (frames, J) that follow the given angles with at most `step` from frame to frame [rad]."""
     slowed = angles.copy()
     for i in range(1, len(slowed)):
         slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -step, step)
     return slowed
 
 
-def _sampled(angles: Array, rate: float, hand: Hand, period: float, where: str) -> Recording:
+def _smooth_curve(angles: Array, rate: float, hand: Hand, period: float, where: str) -> Recording:
     """Return a smooth curve through angles, from rest to rest, at every control period.
 
     Raises:
@@ -213,5 +221,5 @@ def _sampled(angles: Array, rate: float, hand: Hand, period: float, where: str) 
 
 
 def _value_text(value: object) -> str:
-    """Return the text of a wrong value."""
+    """Return a wrong value as text for an error message."""
     return printable_text(repr(value))[:40]

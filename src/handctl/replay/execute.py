@@ -27,7 +27,7 @@ class Execution:
     Attributes:
         ticks: number of executed ticks.
         differing: number of ticks with any different output byte.
-        undecided: number of ticks with a different decision: mode, phase, action or events.
+        different_decisions: number of ticks with a different decision: mode, phase, action or events.
         first: the first difference, or None.
         state: first different field in the first different snapshot, or None.
         largest: the largest numeric difference by `relative_error`, or None.
@@ -38,7 +38,7 @@ class Execution:
 
     ticks: int
     differing: int
-    undecided: int
+    different_decisions: int
     first: TickDifference | None
     state: TickDifference | None
     largest: TickDifference | None
@@ -55,10 +55,10 @@ class Execution:
 def is_within_tolerance(execution: Execution, within: float) -> bool:
     """Return True if all decisions are equal and no number differs by more than `within`.
 
-    Other machines may round differently.
+    A tolerance is useful because other machines may round differently.
     """
     largest = relative_error(execution.largest) if execution.largest else 0.0
-    return not execution.undecided and largest <= within
+    return not execution.different_decisions and largest <= within
 
 
 def execute_log(
@@ -100,7 +100,7 @@ def execute_log(
     wall = time.perf_counter() - start
     cpu = _cpu_seconds() - cpu_start
     length = float(log.times[-1]) if len(log) else 0.0
-    parts = (tally.ticks, tally.differing, tally.undecided, tally.first, tally.state, tally.largest)
+    parts = (tally.ticks, tally.differing, tally.different_decisions, tally.first, tally.state, tally.largest)
     return Execution(*parts, wall, cpu, length)
 
 

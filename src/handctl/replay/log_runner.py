@@ -52,7 +52,7 @@ class Tally:
 
     ticks: int = 0
     differing: int = 0
-    undecided: int = 0
+    different_decisions: int = 0
     first: TickDifference | None = None
     state: TickDifference | None = None
     largest: TickDifference | None = None
@@ -62,7 +62,7 @@ class Tally:
         both = Tally(
             self.ticks + later.ticks,
             self.differing + later.differing,
-            self.undecided + later.undecided,
+            self.different_decisions + later.different_decisions,
             self.first or later.first,
             self.state or later.state,
             self.largest,
@@ -78,7 +78,7 @@ class Tally:
             same_decisions: True if the decisions are equal.
         """
         self.differing += 1
-        self.undecided += not same_decisions
+        self.different_decisions += not same_decisions
         self.first = self.first or tick_differences[0]
         for difference in tick_differences:
             if difference.ulps is not None:

@@ -14,8 +14,8 @@ from handctl.replay.compare import compare_runs
 
 Array = NDArray[np.float64]
 
-PREPARATION = ("start", "tighten", "approach")
-"""Names of the phases before the actual run."""
+PREPARATION_PHASES = ("start", "tighten", "approach")
+"""Names of the phases that precede the recorded motion."""
 MAX_GAP_S = 0.05
 """Longest gap in a recording over which targets are interpolated [s]."""
 
@@ -26,14 +26,15 @@ def active_interval(log: RunLog) -> tuple[float, float]:
     The tightening of the tendons at the start is excluded.
 
     Raises:
-        LogError: the hand was never active, or never as a whole, or the ticks are out of order.
+        LogError: the hand was never active, not all tendons had targets at the same time, or the ticks are out of
+            order.
     """
     check_order(log.t_ns, log.header.period_ns)
     preparing = np.zeros(len(log), bool)
     changes = log.phases
     for i, change in enumerate(changes):
         end = changes[i + 1].k if i + 1 < len(changes) else int(log.k[-1]) + 1
-        if change.name in PREPARATION:
+        if change.name in PREPARATION_PHASES:
             preparing |= (log.k >= change.k) & (log.k < end)
     active = (log.mode == int(Mode.ACTIVE)) & ~preparing
     at = np.flatnonzero(active & ~np.isnan(log.field("tension_goal")).any(axis=1))

@@ -42,5 +42,5 @@ def refuse_default_hand(specs: Sequence[str], where: str) -> None:
         ConfigError: a bus may have real motors.
     """
     if real := real_buses(specs):
-        right = f"the file of the hand that is there; the default {DEFAULT_HAND!r} is for simulated buses alone"
+        right = f"the file of the connected hand; the default {DEFAULT_HAND!r} is only for simulated buses"
         raise ConfigError(f"no hand is given, and {real[0]} may have real motors", where, right)

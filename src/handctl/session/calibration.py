@@ -33,7 +33,7 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
         named: True if the operator named the file. An invalid file is then an error.
 
     Returns:
-        The calibration and an empty text, or None and the reason.
+        The calibration and an empty text, or None and the reason why no calibration is valid.
 
     Raises:
         ConfigError: the named file exists and cannot be used.
@@ -117,7 +117,7 @@ def identified_in(path: Path | None, hand: Hand) -> IdentifiedByTendon:
     """Return the identified parameters in a calibration file by tendon, empty without a file.
 
     Tares and zeros of a simulated hand are valid for only one seed and one start. Identified
-    parameters are valid for all.
+    parameters are valid for all seeds and starts.
 
     Raises:
         ConfigError: the file cannot be read, is for another hand, or holds no identified parameters.
@@ -144,7 +144,7 @@ def ensure_calibration(plan: Plan, path: Path, reason: str, runner: Runner, log:
     Args:
         plan: plan of the run that follows.
         path: calibration file to write.
-        why: reason why no calibration is valid.
+        reason: reason why no calibration is valid.
         runner: function that executes the run, live or in lockstep.
         log: log file to write.
 

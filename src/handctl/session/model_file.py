@@ -1,4 +1,4 @@
-"""Reading of robot descriptions, URDF and MJCF, by the simulator, which has MuJoCo."""
+"""Reading of robot descriptions (URDF and MJCF) with MuJoCo, which is a dependency of the simulator."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -7,21 +7,21 @@ from typing import Any
 from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import load_entry
 
-READER = "firmware_sim.model_file:read_model_file"
-"""Function that reads a description, see there for its result."""
+MODEL_FILE_READER = "firmware_sim.model_file:read_model_file"
+"""Entry point of the function that reads a description. Its docstring describes the result."""
 
 
 def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
     """Read the tree of links of a hand as plain values.
 
     Args:
-        path: the file.
+        path: path of the description.
         kind: ``urdf`` or ``mjcf``.
 
     Raises:
         ConfigError: the file is unreadable, describes no tree of hinges with inertia, or MuJoCo is missing.
     """
-    read: Callable[[str, str], Mapping[str, Any]] = load_entry(READER, "reading a robot description")
+    read: Callable[[str, str], Mapping[str, Any]] = load_entry(MODEL_FILE_READER, "reading a robot description")
     try:
         return read(str(path), kind)
     except ValueError as error:

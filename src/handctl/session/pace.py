@@ -20,7 +20,7 @@ def pace_advice(plan: Plan, outcome: Outcome) -> str:
     if not (plan.simulated and outcome.late):
         return ""
     scale = slower_time_scale(plan, outcome)
-    return f"a machine that keeps up with a simulated hand, or handctl sim with --time-scale {scale:g}"
+    return f"a machine fast enough for a simulated hand, or handctl sim with --time-scale {scale:g}"
 
 
 def slower_time_scale(plan: Plan, outcome: Outcome) -> float:

@@ -147,10 +147,10 @@ def make_plan(
 
 
 def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
-    """Return the time scale of a run: as chosen, or that of the simulator on the buses, or 1.
+    """Return the time scale of a run: the chosen time scale, else that of the simulator on the buses, else 1.
 
     Args:
-        chosen: simulated seconds in a second, or None.
+        chosen: simulated seconds per second of wall time, or None.
         buses: specification of each bus, empty in lockstep.
 
     Raises:

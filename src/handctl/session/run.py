@@ -98,13 +98,13 @@ class Outcome:
 
 
 Runner = Callable[["Plan", Controller, Path], Outcome]
-"""Function that executes a run: ``run_live``, or its counterpart in lockstep."""
+"""Function that executes a run: ``run_live``, or a function that runs in lockstep."""
 
 
 def make_controller(plan: Plan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
     """Design the gains, and construct the controller.
 
-    A progress bar is shown if the compilation takes long.
+    A progress bar is shown during a long compilation.
     """
     with plan.progress("compiling the controller, once") as report_progress:
         prepare(report_progress)
@@ -210,7 +210,7 @@ def run_lockstep(
 
 
 def _open_clock(plan: Plan, stack: ExitStack) -> RealClock:
-    """Return the clock of a run: shared with the simulator of its bus where there is one, or CLOCK_MONOTONIC.
+    """Return the clock of a run: the clock shared with the simulator of its bus, else CLOCK_MONOTONIC.
 
     Raises:
         BusError: the file of the shared clock is of another version.
@@ -228,7 +228,7 @@ def _open_clock(plan: Plan, stack: ExitStack) -> RealClock:
     return SharedClock(plan.period_ns, plan.time_scale, file=file)
 
 
-def refuse_blind_view(view_requested: bool) -> None:
+def refuse_view_without_screen(view_requested: bool) -> None:
     """Raise an error for ``--view`` in a session without a screen, before a bus is opened.
 
     Raises:
@@ -340,13 +340,13 @@ def _merge_observers(observer: RunObserver | None, others: TickCallback) -> Tick
     return show
 
 
-WATCH_HZ = 50.0
-"""Rate of the status lines to watching programs [Hz]."""
+STATUS_RATE_HZ = 50.0
+"""Rate of the status lines for observing programs [Hz]."""
 
 
 def _status_callback(display: Display | None, mailbox: Mailbox, rate_hz: float) -> TickCallback:
-    """Return a function that updates display and watching programs after a tick."""
-    every = max(1, round(rate_hz / WATCH_HZ))
+    """Return a function that updates the display and observing programs after a tick."""
+    every = max(1, round(rate_hz / STATUS_RATE_HZ))
 
     def show(entry: TickIn, out: TickOut) -> None:
         if display:

@@ -26,7 +26,7 @@ from handctl.hand.load import hand_path
 from handctl.programs.program import Program
 from handctl.runtime.clocks.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, Peer, load_peer
 
-CHECK_NS = 2_000_000
+CHECK_PERIOD_NS = 2_000_000
 """Control period of a simulated hand constructed only to check its settings [ns]."""
 
 
@@ -109,7 +109,7 @@ class Simulator:
 
     def check(self) -> None:
         """Check that the simulated hand can be constructed. See ``peer``."""
-        with self.peer(CHECK_NS):
+        with self.peer(CHECK_PERIOD_NS):
             pass
 
     @contextmanager

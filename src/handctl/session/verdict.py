@@ -112,6 +112,6 @@ def _report_omitted(path: Path, error: OSError, tell: NoticeCallback) -> None:
 def lost_frames(plan: Plan, outcome: Outcome) -> int:
     """Return the number of frames refused by a bus or never received from the sensor node.
 
-    A reply after the next SYNC counts as late.
+    A reply after the next SYNC counts as late, not as lost.
     """
     return outcome.stats.refused + make_sensors(plan.hand).lost(*outcome.state.sensor_counts)

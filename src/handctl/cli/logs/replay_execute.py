@@ -48,7 +48,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         "log": str(args.recorded),
         "ticks": execution.ticks,
         "differing": execution.differing,
-        "undecided": execution.undecided,
+        "undecided": execution.different_decisions,
         "missing": [[gap.before + 1, gap.after - 1] for gap in log.gaps],
         "warning": log.warning,
         "first": execution.first._asdict() if execution.first else None,
@@ -67,7 +67,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         print_json(result)
     else:
         print_escaped(
-            f"{execution.ticks} ticks, {execution.differing} differ, {execution.undecided} with other decisions"
+            f"{execution.ticks} ticks, {execution.differing} differ, {execution.different_decisions} with other decisions"
         )
         for word, one in (
             ("first", execution.first),
@@ -86,7 +86,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
             print_escaped(
                 "the log was written by handctl {}, code {}; this is handctl {}, code {}".format(*logged_by, *here)
             )
-        if not passed and not execution.undecided and args.within is None:
+        if not passed and not execution.different_decisions and args.within is None:
             print_escaped(
                 "all decisions are equal; if another machine wrote the log, "
                 "--within 1e-9 accepts differences by rounding"

@@ -28,7 +28,7 @@ from handctl.session.calibration import IdentifiedByTendon, commission, identifi
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import assignments
 from handctl.session.plan import Plan, commission_log, default_log
-from handctl.session.run import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
+from handctl.session.run import Outcome, Runner, make_controller, refuse_view_without_screen, run_live, run_lockstep
 from handctl.session.simulate import Simulator
 from handctl.session.tasks import find_scene, find_task
 
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 
     Returns the exit code.
     """
-    refuse_blind_view(args.view and not args.lockstep)
+    refuse_view_without_screen(args.view and not args.lockstep)
     with hand_in_protocol(args):
         return _run_demo(args)
 

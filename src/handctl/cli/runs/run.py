@@ -20,13 +20,13 @@ from handctl.runtime.paths import truth_path
 from handctl.session.calibration import ensure_calibration
 from handctl.session.pace import pace_advice
 from handctl.session.plan import Plan, commission_log, default_log
-from handctl.session.run import Outcome, make_controller, refuse_blind_view, run_live
+from handctl.session.run import Outcome, make_controller, refuse_view_without_screen, run_live
 from handctl.session.tasks import find_task, find_trajectory
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the task, and return the exit code."""
-    refuse_blind_view(args.view)
+    refuse_view_without_screen(args.view)
     plan = make_plan(args)
     program, attached = _program_of_task(args, plan)
     path, calibration, reason = find_calibration(args, plan.hand)
