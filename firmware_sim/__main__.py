@@ -6,7 +6,7 @@ from firmware_sim.command import check_words
 from firmware_sim.description import SimulatorError
 from firmware_sim.printing import one_line
 
-OPTIONAL = ("mujoco",)
+EXTRA_PACKAGES = ("mujoco",)
 """Import names of the packages that the extra ``sim`` installs."""
 
 
@@ -34,7 +34,7 @@ def main(words: list[str]) -> int:
 
             simulate.run(words)
     except ModuleNotFoundError as error:
-        if error.name not in OPTIONAL:
+        if error.name not in EXTRA_PACKAGES:
             raise
         print(f"firmware_sim: a simulated hand needs {error.name}: pip install 'handctl[sim]'", file=sys.stderr)
         return 2

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-PER_LINK = (
+PER_LINK_KEYS = (
     "link_com_m",
     "link_mass_kg",
     "link_inertia_kg_m2",
@@ -20,7 +20,7 @@ PER_LINK = (
     "spring_stiffness_N_m_per_rad",
     "spring_preload_rad",
 )
-"""Keys of a digit with one value per link. In schema 2 one number may stand for the list."""
+"""Keys of a digit with a list of one value per link. In schema 2 a single number stands for equal values."""
 
 
 POWERS = 6
@@ -273,8 +273,8 @@ class Hand:
         tendons: tendons, the first one of each spool pair.
         motors: motors.
         sensors: sensor node, None without.
-        meshes: meshes of links and palm, for pictures. The plant has none of them, and hands that
-            differ only in the place of their meshes are equal.
+        meshes: meshes of links and palm, for pictures. The plant does not use the meshes, and the
+            comparison of hands ignores them.
     """
 
     name: str
@@ -369,7 +369,7 @@ def _resolved(raw: dict[str, Any]) -> dict[str, Any]:
             sections["tendon"].append(tendon)
         listed = {
             key: [digit[key]] * links
-            for key in (*PER_LINK, "link_mesh_scale")
+            for key in (*PER_LINK_KEYS, "link_mesh_scale")
             if isinstance(digit.get(key), int | float)
         }
         sections["digit"].append(digit | listed)
@@ -385,7 +385,7 @@ def _resolved(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_template(raw: dict[str, Any], kind: str, entry: dict[str, Any]) -> dict[str, Any]:
-    """Return an entry above its template, above the default of its kind."""
+    """Return an entry with missing keys taken from its template, then from the default of its kind."""
     default = raw.get("default", {}).get(kind, {})
     template = raw[f"{kind}_template"][entry["template"]] if "template" in entry else {}
     return _merged(_merged(default, template), entry)
@@ -430,7 +430,7 @@ def _meshes(raw: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
 
 
 def _mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
-    """Return a mesh. None stands for no scaling, no shift or no turn."""
+    """Return a mesh. None means no scaling, no shift or no rotation."""
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
         link=link,
@@ -444,7 +444,7 @@ def _mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> Lin
 def _digit(raw: dict[str, Any]) -> Digit:
     count = len(raw["link_length_m"])
     no_springs = [0.0] * count
-    for key in (*PER_LINK, "joint_axis", "joint_rpy_deg"):
+    for key in (*PER_LINK_KEYS, "joint_axis", "joint_rpy_deg"):
         if key in raw and len(raw[key]) != count:
             what = f"digit {raw['name']}: {key} has {len(raw[key])} values"
             raise SimulatorError(f"{what}; expected {count}, one per link")
@@ -470,7 +470,10 @@ def _digit(raw: dict[str, Any]) -> Digit:
 
 
 def _inertia(raw: dict[str, Any], i: int) -> tuple[float, ...]:
-    """Return the six values of the inertia of link i. A number is that of a round bar, about y and z."""
+    """Return the six values of the inertia of link i.
+
+    A single number is the moment of inertia of a round bar about y and z.
+    """
     value = raw["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
         # No principal moment of a body is larger than the sum of the other two.

@@ -19,16 +19,16 @@ MODEL_SUFFIXES = (".urdf", ".xml")
 """Endings of the files that MuJoCo reads."""
 URDF_JOINTS = ("revolute", "continuous", "fixed")
 """Joint types of URDF that a hand can have."""
-OTHER_JOINTS = {
+UNSUPPORTED_JOINTS = {
     mujoco.mjtJoint.mjJNT_FREE: "a floating joint",
     mujoco.mjtJoint.mjJNT_BALL: "a ball joint",
     mujoco.mjtJoint.mjJNT_SLIDE: "a prismatic joint",
 }
 """Joint types of MuJoCo that a hand cannot have."""
 ROUND_SHAPES = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE)
-"""Shapes with a radius. The first of them that a link has gives the radius of the link."""
+"""Shapes with a radius. The first such shape of a link gives the radius of the link."""
 BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-"""Corners of a box with the half extents 1."""
+"""Corners of a box whose half extents are 1."""
 
 
 def read_model_file(path: str, kind: str) -> dict[str, Any]:
@@ -107,7 +107,7 @@ def _form(kind: str) -> str:
 
 
 def _check_joint_types(root: ET.Element, path: str) -> None:
-    """Refuse joints of an URDF that a hand cannot have. MuJoCo would take some of them for others."""
+    """Refuse joints of a URDF that a hand cannot have. MuJoCo would read some of them as joints of another type."""
     for joint in root.iter("joint"):
         kind = joint.get("type")
         if kind is not None and kind not in URDF_JOINTS:
@@ -126,7 +126,7 @@ def _compiled(path: str, kind: str, root: ET.Element, notes: list[str]) -> tuple
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
         if kind == "urdf":
-            # Shapes of an URDF are not its inertia.
+            # The inertia of a URDF is in its own elements, not in the shapes.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, root, Path(path).absolute().parent)
         try:
@@ -150,14 +150,14 @@ def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
 
 
 def _model(spec: Any) -> Any:
-    """Compile without warnings. They are about the dynamics, and one of them spoils the line of an error."""
+    """Compile without warnings. The warnings concern the dynamics, and would appear beside an error of one line."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return spec.compile()
 
 
 def _parsed(path: str) -> Any:
-    """Parse the file. MuJoCo reads files of other names only as a text."""
+    """Parse the file. MuJoCo accepts files with other suffixes only as a text."""
     if Path(path).suffix in MODEL_SUFFIXES:
         return mujoco.MjSpec.from_file(path)
     spec = mujoco.MjSpec.from_string(Path(path).read_text(encoding="utf-8"))
@@ -189,7 +189,7 @@ def _check_structure(model: Any, path: str) -> None:
     if model.njnt == 0:
         raise SimulatorError(f"{path}: no joints; expected a hand with hinges")
     for joint in range(model.njnt):
-        other = OTHER_JOINTS.get(mujoco.mjtJoint(int(model.jnt_type[joint])))
+        other = UNSUPPORTED_JOINTS.get(mujoco.mjtJoint(int(model.jnt_type[joint])))
         if other:
             raise SimulatorError(f"{path}: {_joint_name(model, joint)} is {other}; expected hinges")
     for body in range(model.nbody):
@@ -284,7 +284,7 @@ def _meshes(
 def _inertia(
     model: Any, data: Any, members: list[int], origin: Any, turn: Any
 ) -> tuple[float, list[float], list[list[float]]]:
-    """Return mass, centre of mass and inertia about it, in a link's frame, of bodies fixed to each other."""
+    """Return mass, centre of mass, and inertia about this centre of bodies fixed to each other, in a link's frame."""
     masses = model.body_mass[members]
     mass = float(masses.sum())
     if mass <= 0.0:

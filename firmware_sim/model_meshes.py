@@ -8,9 +8,9 @@ from xml.etree import ElementTree as ET
 import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
-PACKAGE = "package://"
+PACKAGE_PREFIX = "package://"
 """Start of a path within a ROS package."""
-LOCAL = "file://"
+SCHEME_PREFIX = "file://"
 """Start of a path with a scheme."""
 
 
@@ -40,12 +40,10 @@ def urdf_files(root: ET.Element, folder: Path) -> dict[str, Path]:
 
 def _urdf_path(name: str, folder: Path) -> Path:
     """Return the path of a mesh of a URDF. A package is a folder above the URDF or beside one."""
-    if not name.startswith(PACKAGE):
-        return folder / name.removeprefix(LOCAL)
-    package, *parts = PurePath(name.removeprefix(PACKAGE)).parts
-    places = [
-        above.joinpath(*parts) for above in (folder, *folder.parents) if above.name == package
-    ]
+    if not name.startswith(PACKAGE_PREFIX):
+        return folder / name.removeprefix(SCHEME_PREFIX)
+    package, *parts = PurePath(name.removeprefix(PACKAGE_PREFIX)).parts
+    places = [above.joinpath(*parts) for above in (folder, *folder.parents) if above.name == package]
     places += [above.joinpath(package, *parts) for above in (folder, *folder.parents)]
     places.append(folder / PurePath(name).name)
     return next((place for place in places if place.is_file()), folder.joinpath(*parts))
@@ -105,9 +103,7 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
         scale = np.array(asset.scale)
         reference = rotation_of(np.array(asset.refquat) / np.linalg.norm(asset.refquat))
         if np.ptp(scale) and not np.array_equal(reference, np.eye(3)):
-            notes.append(
-                f"mesh {asset.file} is not read: it is scaled differently along axes after a turn"
-            )
+            notes.append(f"mesh {asset.file} is not read: it is scaled differently along axes after a turn")
             continue
         # MuJoCo moves the vertices v to scale * reference^T (v - refpos), and then to the axes of their inertia.
         mesh = int(model.geom_dataid[geom])
@@ -115,9 +111,7 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
         origin = model.geom_pos[geom] - rotation @ model.mesh_pos[mesh]
         yield BodyMesh(
             body=body,
-            file=folder
-            / spec.meshdir
-            / (PurePath(asset.file).name if spec.strippath else asset.file),
+            file=folder / spec.meshdir / (PurePath(asset.file).name if spec.strippath else asset.file),
             scale=scale,
             position=origin - rotation @ (scale * (reference.T @ asset.refpos)),
             rotation=rotation @ reference.T,

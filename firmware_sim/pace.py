@@ -10,7 +10,7 @@ from dataclasses import dataclass
 REPORT_PERIOD_S = 1.0
 """Minimum time between two reports [s]."""
 SLOW_MACHINE_SLIPS = 3
-"""Slips in one report period that mean a slow machine. Fewer slips are a short stop."""
+"""Smallest number of slips in one report period that indicates a slow machine. Fewer slips are a short stop."""
 CORE_FRACTION = 0.5
 """Fraction of a core for the simulator. Controller, recorder and system need the rest."""
 ADVISED_FRACTION = 0.8
@@ -18,7 +18,7 @@ ADVISED_FRACTION = 0.8
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class ClockReadings:
     """Clock readings at one time.
 
     Attributes:
@@ -109,9 +109,9 @@ class Pace:
     def _too_slow(self, seconds: float) -> str:
         """Return the line for a machine that is too slow."""
         lost = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
-        return f"firmware_sim: {lost}: this machine keeps --time-scale {self.advice:g}"
+        return f"firmware_sim: {lost}: this machine is fast enough for --time-scale {self.advice:g}"
 
-    def _advise(self, now: Mark) -> None:
+    def _advise(self, now: ClockReadings) -> None:
         """Update the advice from the pace since the last report."""
         measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
         advice = ADVISED_FRACTION * min(
@@ -119,8 +119,8 @@ class Pace:
         )
         self.advice = rounded_down(advice) if self.advice is None else min(self.advice, rounded_down(advice))
 
-    def _at(self, plant_ns: int) -> Mark:
-        return Mark(self._wall_s(), self._cpu_s(), plant_ns * 1e-9)
+    def _at(self, plant_ns: int) -> ClockReadings:
+        return ClockReadings(self._wall_s(), self._cpu_s(), plant_ns * 1e-9)
 
 
 def rounded_down(pace: float) -> float:
@@ -132,7 +132,7 @@ def rounded_down(pace: float) -> float:
     return float(f"{math.floor(pace / step + 1e-9) * step:.6g}")
 
 
-def _ratio(first: Mark, last: Mark) -> float:
+def _ratio(first: ClockReadings, last: ClockReadings) -> float:
     """Return the plant time per computing time, infinite without computing time."""
     cpu_s = last.cpu_s - first.cpu_s
     return (last.plant_s - first.plant_s) / cpu_s if cpu_s > 0.0 else math.inf

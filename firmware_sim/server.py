@@ -13,20 +13,20 @@ from firmware_sim.faults.socket import FaultSocket
 from firmware_sim.pace import Pace
 from firmware_sim.priority import RealTimePriority
 
-TURN_NS = 1_000_000
+MAX_TURN_NS = 1_000_000
 """Maximum time between two advances of the plant [ns of plant time]."""
-LATE_NS = 5 * TURN_NS
+OVERRUN_NS = 5 * MAX_TURN_NS
 """Delay of the plant that counts as an overrun [ns of plant time]."""
-SLIP_NS = 150_000_000
+MAX_DELAY_NS = 150_000_000
 """Delay at which the plant's clock gives up the lost time [ns of plant time]."""
-MAX_ROUNDS = 64
+MAX_READS_PER_TURN = 64
 """Maximum reads of the ports in one turn. The limit keeps a full wire from stopping the plant."""
-PAUSE_S = 0.005
+SLIP_PAUSE_S = 0.005
 """Pause after a slip [s], which leaves the core to other processes."""
-STRIDE_NS = 4_000_000
+MAX_CATCH_UP_NS = 4_000_000
 """Maximum plant time that one turn catches up [ns].
 
-It is half a millisecond of computing. An answer after the next SYNC would be late.
+Computing this time takes half a millisecond. In a longer turn an answer could come after the next SYNC.
 """
 
 
@@ -146,7 +146,7 @@ class Server:
         self._answer(frames)
         if self._faults and self._faults.readers()[0] in ready:
             self._faults.serve(self.pace)
-        for _ in range(MAX_ROUNDS):
+        for _ in range(MAX_READS_PER_TURN):
             if not (frames := self._receive(())):
                 break
             self._answer(frames)
@@ -179,7 +179,7 @@ class Server:
             The sockets that are ready for reading.
         """
         # The world's clock is behind the wall clock by the time given up.
-        due_ns = self._world.t_ns + self._world.slip_ns + TURN_NS
+        due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         return self._ready_links(max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9))
 
@@ -200,12 +200,12 @@ class Server:
         world = self._world
         target_ns = self._clock.now_ns() - world.slip_ns
         behind_ns = target_ns - world.t_ns
-        if behind_ns > SLIP_NS:
+        if behind_ns > MAX_DELAY_NS:
             self._slip(behind_ns)
             return
-        self.overruns += behind_ns > LATE_NS
+        self.overruns += behind_ns > OVERRUN_NS
         follow = world.reach if sampled else world.advance
-        follow(min(target_ns, world.t_ns + STRIDE_NS))
+        follow(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _slip(self, behind_ns: int) -> None:
         """Give up lost time. Plant and watchdogs stood still while this process did not run."""
@@ -215,7 +215,7 @@ class Server:
             self._priority.note_slip()
         if self._served:
             self.pace.slipped(behind_ns, self._world.t_ns)
-        time.sleep(PAUSE_S)
+        time.sleep(SLIP_PAUSE_S)
 
     def _answer(self, frames: list[Frame]) -> None:
         """Answer frames and send unsolicited frames."""

@@ -1,8 +1,8 @@
 """A clock shared with the controller on this machine, which pauses where the machine is too slow.
 
-The operating system may stop the simulator for many milliseconds. Its answers are then late, which says
-nothing about the simulated hand. A controller that knows the shared clock waits for the answers, and
-the simulator never advances beyond the gate, a time that the controller sets in every tick.
+The operating system may stop the simulator for many milliseconds. Its answers are then late, although
+the simulated hand works correctly. A controller that uses the shared clock waits for the answers. The
+simulator never advances beyond the gate, a time that the controller sets in every tick.
 
 The file of the clock has six 64-bit integers, which both processes map:
 
@@ -26,10 +26,10 @@ GATE, PAUSED, SENT, ANSWERED, REACHED = 1, 2, 3, 4, 5
 COUNT = 6
 OPEN_GATE = 2**63 - 1
 """Gate without a controller."""
-SILENT_NS = 120_000_000
+MAX_GATE_WAIT_NS = 120_000_000
 """Longest wait at the gate [ns of wall time]. A controller that stays away for longer has stopped or died.
 
-It is below the delay at which the plant gives up time, and above the longest pause for a late controller.
+This wait is below the delay at which the plant gives up time, and above the longest pause for a late controller.
 """
 
 
@@ -76,7 +76,7 @@ class SharedClock:
     def now_ns(self) -> int:
         """Return the present time, at most the gate [ns]."""
         now, gate = time.monotonic_ns() - self._numbers[PAUSED], self._numbers[GATE]
-        if gate < now <= gate + SILENT_NS:
+        if gate < now <= gate + MAX_GATE_WAIT_NS:
             now = gate
         return int(now * self.scale)
 

@@ -19,11 +19,11 @@ from firmware_sim.bus.frame import RECORD_SIZE
 from firmware_sim.description import SimulatorError
 from firmware_sim.paths import bus_path
 
-BUFFER = 1 << 20
+BUFFER_BYTES = 1 << 20
 """Buffer requested from the kernel for each direction [bytes]. Linux grants 416 KiB by default."""
-_PEER = struct.Struct("3i")
+_PEER_CREDENTIALS = struct.Struct("3i")
 """Linux's ``struct ucred``: process, user, group."""
-_PIECE = 1 << 16
+_MAX_READ_BYTES = 1 << 16
 """Maximum bytes of one read from a client. The limit keeps a flooding client from blocking the others."""
 
 
@@ -50,12 +50,12 @@ class HubConnection:
         self._partial = b""
         link.setblocking(False)
         for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
-            link.setsockopt(socket.SOL_SOCKET, option, BUFFER)
+            link.setsockopt(socket.SOL_SOCKET, option, BUFFER_BYTES)
 
     def receive(self) -> bytes:
         """Receive whole records. The first bytes of an incomplete record wait for the rest."""
         try:
-            piece = self.socket.recv(_PIECE)
+            piece = self.socket.recv(_MAX_READ_BYTES)
         except BlockingIOError:
             return b""
         except OSError:
@@ -226,16 +226,16 @@ def _is_foreign(link: socket.socket) -> bool:
     """Check whether the peer runs as a user other than this one or root. Only Linux reports the user."""
     if not sys.platform.startswith("linux"):
         return False
-    raw = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+    raw = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size)
     # Field 1 is the user. Root may join for diagnosis.
-    return _PEER.unpack(raw)[1] not in (0, os.geteuid())
+    return _PEER_CREDENTIALS.unpack(raw)[1] not in (0, os.geteuid())
 
 
 def _listen(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # Check, unlink and bind must not interleave with another hub's, hence the lock on the
-        # directory.
+        # Check, unlink and bind must not interleave with those of another hub. Therefore the directory
+        # is locked.
         with _locked(path.parent):
             if _is_served(path):
                 raise SimulatorError(

@@ -69,7 +69,7 @@ class TimedLockstep:
         while True:
             at_ns = min([wire.next_ns() for wire in self.wires])
             self._world.advance(min(at_ns, end_ns))
-            # New frames of nodes may go out earlier than at_ns. Ask the wires again.
+            # New frames of nodes may be sent before at_ns, so the wires are asked again.
             if self._queue_all(self._world.take_unsolicited()):
                 continue
             if at_ns >= end_ns:

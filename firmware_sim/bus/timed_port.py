@@ -69,7 +69,7 @@ class TimedPort:
         self._now_ns = now_ns
         self._clients: dict[HubConnection, CanController] = {}
         self._queues: dict[HubConnection, tuple[int, int]] = {}
-        """Records received from each client, and records that left its queue in the last report (-1: none)."""
+        """Records received from each client, and records that had left its queue at the last report (-1: none)."""
         self._nodes: dict[int, CanController] = {}
         self._received: deque[Frame] = deque()
         self._unreadable = self._refused = 0
@@ -178,7 +178,7 @@ class TimedPort:
             self._received.append(frame)
 
     def send(self, frames: list[Frame]) -> None:
-        """Send answers of the nodes. They may start at the time of the frames received last. See ``ports.Port``."""
+        """Send answers of the nodes. An answer may start when the latest received frame ends. See ``ports.Port``."""
         for frame in frames:
             controller = self._nodes.get(frame.can_id)
             if controller is None:

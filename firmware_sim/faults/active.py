@@ -8,15 +8,15 @@ from firmware_sim.faults import plant_faults, wire_faults
 from firmware_sim.faults.text import BUS, DIGIT, FOREVER_NS, KINDS, NODE, SENSORS, TENDON, Fault, instances, parse_fault
 from firmware_sim.faults.wire_faults import ActiveFault
 
-TURN_NS = 1_000_000
+GENERATION_PERIOD_NS = 1_000_000
 """Period of generated frames [ns]."""
-FOREIGN_NS = 10_000_000
+SECOND_HOST_PERIOD_NS = 10_000_000
 """Period of the commands of a second host [ns]."""
 FLOOD_ID = 0x000
 """Identifier of a flood: the highest priority."""
 UNKNOWN_ID = 0x7E5
 """Identifier that belongs to no node."""
-GENERATED = ("flood", "unknown", "foreign")
+GENERATING_KINDS = ("flood", "unknown", "foreign")
 """Kinds of fault that generate frames periodically."""
 
 
@@ -121,10 +121,10 @@ class Faults:
             self._acting.remove((active, undo))
             self._index()
         frames = [frame for bus, active in self._all_wire for frame in wire_faults.due([active], t_ns)]
-        if not self._turn_ns or (t_ns >= self._turn_ns and (t_ns - self._turn_ns) % TURN_NS == 0):
+        if not self._turn_ns or (t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0):
             # Generated frames come at the ends of whole steps. A fault can start within a step, so
             # the completed part of the step is subtracted.
-            self._turn_ns = t_ns - self._world.plant.part_ns + TURN_NS
+            self._turn_ns = t_ns - self._world.plant.part_ns + GENERATION_PERIOD_NS
             frames += self._generated(t_ns)
         return frames
 
@@ -133,7 +133,7 @@ class Faults:
         due = [active.fault.start_ns for active in self._waiting]
         for active, _ in self._acting:
             due += [active.fault.start_ns + active.fault.duration_ns, *(at_ns for at_ns, _ in active.delayed)]
-            if active.fault.kind in GENERATED:
+            if active.fault.kind in GENERATING_KINDS:
                 due.append(self._turn_ns)
         return min(due, default=FOREVER_NS)
 
@@ -198,7 +198,7 @@ class Faults:
                 frames += [Frame(can_id, bytes(8), 0, bus, t_ns)] * int(fault.size)
                 active.note_effect(t_ns)
             elif fault.kind == "foreign" and t_ns >= self._foreign_ns:
-                self._foreign_ns = t_ns + FOREIGN_NS
+                self._foreign_ns = t_ns + SECOND_HOST_PERIOD_NS
                 frames.append(self._world.host_frame(fault.instance)._replace(t_ns=t_ns))
                 active.note_effect(t_ns)
         return frames

@@ -13,7 +13,7 @@ BUS = "bench"
 """Name of the bus."""
 
 
-class Benchlike(Protocol):
+class BenchInterface(Protocol):
     """The part of a bench that faults use.
 
     Attributes:
@@ -48,7 +48,7 @@ class BenchPlant:
 
     tendons: Sequence[Any] = ()
 
-    def __init__(self, bench: Benchlike, specs: Sequence[MotorSpec]) -> None:
+    def __init__(self, bench: BenchInterface, specs: Sequence[MotorSpec]) -> None:
         """Name the rotors of a bench."""
         self._bench = bench
         self.motors = {spec.name: motor for spec, motor in zip(specs, bench.motors, strict=True)}
@@ -76,7 +76,7 @@ class BenchWorld:
 
     sensor_node = None
 
-    def __init__(self, bench: Benchlike, specs: Sequence[MotorSpec]) -> None:
+    def __init__(self, bench: BenchInterface, specs: Sequence[MotorSpec]) -> None:
         """Describe a bench as a hand."""
         self._bench = bench
         motors = list(specs)

@@ -19,11 +19,11 @@ from firmware_sim.nodes.robstride.node import RobstrideNode
 from firmware_sim.nodes.sensors import CHANNELS, JOINT_OFFSET
 
 Undo = Callable[[], None]
-RAIL_N = 1e4
+BEYOND_RANGE_N = 1e4
 """Tension beyond the range of every load cell [N]."""
 BLOCKED_JOINT_DAMPING = 1e3
 """Damping of a blocked joint [N m s/rad]."""
-ERRORS = {
+ERROR_CODES = {
     "error": (FeedbackState.WINDING_HOT, 1 << 13, 0x4310, moteus.OVER_TEMPERATURE, robstride.HOT),
     "watchdog": (FeedbackState.COMMUNICATION_LOST, 1 << 24, 0x8130, moteus.TIMEOUT, 0),
     "voltage": (0x9, 1 << 9, 0x3220, moteus.UNDER_VOLTAGE, robstride.UNDER_VOLTAGE),
@@ -94,7 +94,7 @@ def _reading_change(active: ActiveFault, now: Callable[[], int]) -> Callable[[fl
         elif fault.kind == "noise":
             changed = value + rng.gauss(0.0, fault.size)
         else:
-            changed = math.copysign(RAIL_N, fault.size)
+            changed = math.copysign(BEYOND_RANGE_N, fault.size)
         if changed != value:
             active.note_effect(now())
         return changed
@@ -170,7 +170,7 @@ def _start_block(world: Any, active: ActiveFault) -> Undo:
 def _start_trip(world: Any, active: ActiveFault) -> Undo:
     """Trip a drive with the error code of the kind, or with the code ``size``."""
     node = world.node_of(active.fault.instance)
-    codes = ERRORS[active.fault.kind]
+    codes = ERROR_CODES[active.fault.kind]
     size = int(active.fault.size)
     active.note_effect(world.t_ns)
     match node:
@@ -239,7 +239,7 @@ def _start_hot(world: Any, active: ActiveFault) -> Undo:
     return lambda: setattr(thermal, "forced", None)
 
 
-class _Crossed:
+class _CrossedMotor:
     """A drive's motor whose sensors belong to one rotor and whose power stage belongs to another rotor.
 
     Attributes:
@@ -265,7 +265,7 @@ def _start_exchange(world: Any, active: ActiveFault) -> Undo:
     for i, node in enumerate(nodes):
         own_motor = motors[i]
         other_motor = motors[1 - i]
-        node.motor = _Crossed(other_motor, own_motor) if swapped else _Crossed(own_motor, other_motor)
+        node.motor = _CrossedMotor(other_motor, own_motor) if swapped else _CrossedMotor(own_motor, other_motor)
     active.note_effect(world.t_ns)
 
     def undo() -> None:

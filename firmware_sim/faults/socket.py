@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.description import SimulatorError
 
-if TYPE_CHECKING:  # Not imported at run time: the program ``bus`` has no faults and no plant.
+if TYPE_CHECKING:  # These are not imported at run time, because the program ``bus`` has neither faults nor a plant.
     from firmware_sim.faults.active import Faults
     from firmware_sim.pace import Pace
 

@@ -84,7 +84,7 @@ KINDS = {
     "block": FaultKind((DIGIT,), 0, "a digit is blocked"),
 }  # fmt: skip
 """All kinds of fault."""
-SIZES = {
+SIZE_RANGES = {
     "delay": (0.0, 1e5), "corrupt": (1.0, 512.0), "shorten": (1.0, 64.0), "slow": (2.0, 1e6),
     "error": (0.0, 2.0**32 - 1), "hot": (-40.0, 1000.0), "disobey": (-10.0, 10.0), "runaway": (-4.0, 4.0),
     "forget": (0.0, 50.0), "ripple": (0.0, 50.0), "late": (0.0, 1e3),
@@ -92,12 +92,12 @@ SIZES = {
     "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
     "friction": (0.0, 1e4),
 }  # fmt: skip
-"""Range of the size of each kind. Kinds without entry have ``ANY_SIZE``."""
-OF_TWO = ("swap", "cross")
+"""Range of the size of each kind. Kinds without entry have ``DEFAULT_SIZE_RANGE``."""
+TWO_MOTOR_KINDS = ("swap", "cross")
 """Kinds that need a second motor, ``with=NAME``."""
-ANY_SIZE = (-1e6, 1e6)
+DEFAULT_SIZE_RANGE = (-1e6, 1e6)
 """Default range of a size."""
-OF_DRIVES = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign", "forget",
+DRIVE_KINDS = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign", "forget",
              "ripple", "late", "swap", "cross")  # fmt: skip
 """Kinds for drives only. The sensor node has no power stage, and the host sends it only SYNC."""
 
@@ -160,7 +160,9 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
         kind=kind,
         component=component,
         instance=instance,
-        size=_number(text, "size", given.pop("size", str(KINDS[kind].size)), *SIZES.get(kind, ANY_SIZE)),
+        size=_number(
+            text, "size", given.pop("size", str(KINDS[kind].size)), *SIZE_RANGES.get(kind, DEFAULT_SIZE_RANGE)
+        ),
         p=_number(text, "p", given.pop("p", "1"), 0.0, 1.0),
         start_ns=now_ns + _time(text, "at", given.pop("at", "0s")),
         duration_ns=_time(text, "for", given.pop("for")) if "for" in given else FOREVER_NS,
@@ -185,7 +187,7 @@ def _component(text: str, kind: str, given: dict[str, str]) -> str:
 
 def _other(text: str, kind: str, first: str, given: dict[str, str], hand: Hand) -> str:
     """Return the second motor of a kind that needs two, otherwise an empty string."""
-    if kind not in OF_TWO:
+    if kind not in TWO_MOTOR_KINDS:
         return ""
     if "with" not in given:
         raise SimulatorError(f"fault {text!r}: {kind} needs with=NAME, the other motor")
@@ -205,7 +207,7 @@ def instances(component: str, hand: Hand, kind: str = "") -> list[str]:
     """
     motors = [motor.name for motor in hand.motors]
     return {
-        NODE: [*motors, SENSORS] if hand.sensors and kind not in OF_DRIVES else motors,
+        NODE: [*motors, SENSORS] if hand.sensors and kind not in DRIVE_KINDS else motors,
         BUS: hand.buses,
         ENCODER: motors,
         JOINT: hand.sensors.joints if hand.sensors else [],

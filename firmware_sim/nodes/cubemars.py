@@ -60,7 +60,7 @@ ZEROING_NS = 1_000_000_000
 _SPECIAL = b"\xff" * 7
 """First seven bytes of a special command."""
 COLDEST_C = -40
-"""Temperature of byte value 0 [degC]. The manual's example of a reply subtracts 40."""
+"""Temperature of byte value 0 [degC]. The manual subtracts 40 in its example of a reply."""
 _ENABLE = 0xFC
 _DISABLE = 0xFD
 _ZERO = 0xFE
@@ -87,8 +87,8 @@ class CubemarsNode:
         offset: angle on the wire at theta = 0 [rad].
         thermal: temperatures.
         short: True if feedback has six bytes, as in older firmware.
-        ids: identifiers that it may answer.
-        malformed: frames on its identifier that it could not decode.
+        ids: identifiers that the node may answer.
+        malformed: frames on the node's identifier that the node could not decode.
         wake_ns: time of the next wake [ns].
         watchdog_fed_ns: negative, because the drive has no watchdog.
     """

@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_sim.compiled import compiled
 
-BLOCK = 512
+BLOCK_SIZE = 512
 """Numbers drawn at a time. Even, because numbers come in pairs."""
 
 
@@ -42,23 +42,23 @@ class Noise:
         # are equal to the bit.
         self._uniform = np.random.RandomState()
         self._uniform.set_state(("MT19937", np.array(words[:-1], np.uint32), words[-1], 0, 0.0))
-        self.numbers: Any = np.zeros(2 * BLOCK)
+        self.numbers: Any = np.zeros(2 * BLOCK_SIZE)
         self.bounds: Any = np.zeros(2, np.int64)
 
     def draw(self, count: int) -> None:
-        """Draw numbers until at least ``count`` are available, where ``count`` is at most ``BLOCK``."""
+        """Draw numbers until at least ``count`` are available, where ``count`` is at most ``BLOCK_SIZE``."""
         first, end = self.bounds.tolist()
         if end - first < count:
             self.numbers[: end - first] = self.numbers[first:end]
-            self.numbers[end - first : end - first + BLOCK] = self._block()
-            self.bounds[:] = 0, end - first + BLOCK
+            self.numbers[end - first : end - first + BLOCK_SIZE] = self._block()
+            self.bounds[:] = 0, end - first + BLOCK_SIZE
 
     def _block(self) -> Any:
         """Draw the next block."""
-        uniform = self._uniform.random_sample(BLOCK)
-        block = np.empty(BLOCK)
+        uniform = self._uniform.random_sample(BLOCK_SIZE)
+        block = np.empty(BLOCK_SIZE)
         if isinstance(_normal, FunctionType):  # Without compilation, lists are faster than arrays.
-            plain = [0.0] * BLOCK
+            plain = [0.0] * BLOCK_SIZE
             _normal(uniform.tolist(), plain)
             return plain
         _normal(uniform, block)

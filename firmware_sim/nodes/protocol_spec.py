@@ -17,8 +17,8 @@ class Node(Protocol):
 
     Attributes:
         wake_ns: time of the next call of ``wake`` [ns].
-        malformed: frames on its identifiers that it could not decode.
-        ids: identifiers that it may answer, a new object after each change. None if it must see
+        malformed: frames on the node's identifiers that the node could not decode.
+        ids: identifiers that the node may answer, a new object after each change. None if the node must see
             every frame.
     """
 
@@ -29,12 +29,12 @@ class Node(Protocol):
 
     @property
     def ids(self) -> frozenset[int] | None:
-        """Return the identifiers that it may answer, None if it must see every frame."""
+        """Return the identifiers that the node may answer, None if the node must see every frame."""
         ...
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames on its identifiers that it could not decode."""
+        """Return the number of frames on the node's identifiers that the node could not decode."""
         ...
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:

@@ -48,10 +48,10 @@ class Thermal:
         # Mean copper loss: current squared times resistance, with current = torque / torque
         # constant.
         watt = torque_squared / elapsed_s * self._ohm_per_kt2
-        self.winding = _towards(self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S)
+        self.winding = _low_pass(self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S)
         if self.forced is not None:
             self.winding = self.forced
-        self.mosfet = _towards(self.mosfet, AMBIENT_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S)
+        self.mosfet = _low_pass(self.mosfet, AMBIENT_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S)
 
 
 class ThermalStruct(ctypes.Structure, Thermal):
@@ -60,6 +60,6 @@ class ThermalStruct(ctypes.Structure, Thermal):
     _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]
 
 
-def _towards(value: float, target: float, times: float) -> float:
+def _low_pass(value: float, target: float, times: float) -> float:
     """Move a value towards a target by a first-order lag, for a time in time constants."""
     return target + (value - target) * math.exp(-times)

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
-from firmware_sim.plant.mjcf import CONTACTS
+from firmware_sim.plant.mjcf import MAX_CONTACTS
 
 
 class Engine:
@@ -89,7 +89,7 @@ class Engine:
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the sum of the normal forces between each digit and the object [N]."""
         first = [self._sensor(f"normal/{digit}") for digit in digits]
-        index = np.array([[address + 3 * contact for contact in range(CONTACTS)] for address in first])
+        index = np.array([[address + 3 * contact for contact in range(MAX_CONTACTS)] for address in first])
         data = self._data.sensordata
         return lambda: np.abs(data[index]).sum(axis=1).tolist()  # type: ignore[no-any-return,unused-ignore]
 

@@ -26,18 +26,18 @@ PALM_BIT = 8
 TABLE_BIT = 16
 """Collision category of the table."""
 PALM_DEPTH = 0.02
-"""Depth of the palm [m]. Its face lies at the mount farthest back, in the plane x = 0 if all mounts do."""
+"""Depth of the palm [m]. The face of the palm is at the mount with the smallest x, usually at x = 0."""
 PALM_MARGIN = 0.01
 """Extent of the palm beyond the outermost mounts [m]."""
-SAMPLES = 9
+LINK_SAMPLES = 9
 """Points along a link that are compared with the palm."""
-TABLE_HALF = (0.12, 0.12, 0.005)
+TABLE_HALF_EXTENTS = (0.12, 0.12, 0.005)
 """Half extents of the table [m]."""
 VISUAL_GROUP = 2
 """Group of meshes. Viewers show the groups 0 to 2."""
 HIDDEN_GROUP = 3
 """Group of the shapes of links with a mesh."""
-CONTACTS = 16
+MAX_CONTACTS = 16
 """Contacts of one digit with the object that are measured, at most two for each link."""
 
 _OPTIONS = f"""
@@ -201,7 +201,7 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
     """
     centre, half = palm_box(hand, digit.carrier)
     carrier = [one for one in hand.digits if one.name == digit.carrier]
-    along = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    along = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
     overlaps = []
     for length, (position, rotation) in zip(digit.length, rest_poses(digit), strict=True):
         points = position + along * (length * rotation[:, 0])
@@ -284,7 +284,7 @@ def _contact(hand: Hand, digit: Digit) -> str:
 def _normal(hand: Hand, digit: Digit) -> str:
     """Build the sensor of the contacts between a digit and the object. Axis 1 of a contact frame is the normal."""
     return (
-        f'<contact name="normal/{digit.name}" {_touching(hand, digit)} geom2="object" num="{CONTACTS}"'
+        f'<contact name="normal/{digit.name}" {_touching(hand, digit)} geom2="object" num="{MAX_CONTACTS}"'
         ' reduce="maxforce" data="force"/>'
     )
 
@@ -312,8 +312,9 @@ def _table(grasp_object: GraspObject, support: Support | None) -> str:
     if support is None:
         return ""
     x, y, z = table_position(grasp_object)
+    size = _text(TABLE_HALF_EXTENTS)
     return (
-        f'<body name="table" mocap="true" pos="{x} {y} {z}"><geom name="table" type="box" size="{_text(TABLE_HALF)}"'
+        f'<body name="table" mocap="true" pos="{x} {y} {z}"><geom name="table" type="box" size="{size}"'
         f' contype="{TABLE_BIT}" conaffinity="{OBJECT_BIT}"/></body>\n'
     )
 
@@ -325,7 +326,7 @@ def shapes(scene: Scene) -> dict[str, dict[str, object]]:
     grasp_object: dict[str, object] = {"shape": scene.grasp_object.shape, "size_m": scene.grasp_object.size}
     if scene.support is None:
         return {"object": grasp_object}
-    size = tuple(2.0 * half for half in TABLE_HALF)
+    size = tuple(2.0 * half for half in TABLE_HALF_EXTENTS)
     position = table_position(scene.grasp_object)
     return {"object": grasp_object, "table": {"shape": "box", "size_m": size, "position_m": position}}
 
@@ -333,4 +334,4 @@ def shapes(scene: Scene) -> dict[str, dict[str, object]]:
 def table_position(grasp_object: GraspObject) -> tuple[float, float, float]:
     """Return the centre of the table when the object rests on the table [m]."""
     x, y, z = grasp_object.position
-    return (x, y, z - grasp_object.size[2] / 2.0 - TABLE_HALF[2])
+    return (x, y, z - grasp_object.size[2] / 2.0 - TABLE_HALF_EXTENTS[2])

@@ -14,7 +14,7 @@ from firmware_sim.faults.bench_world import BenchWorld
 from firmware_sim.faults.faulty_drive import FAULTS, with_fault, with_faulty_specs
 from firmware_sim.faults.socket import FaultSocket, is_served
 from firmware_sim.nodes import PROTOCOLS
-from firmware_sim.nodes.cia402.dictionary import EDS
+from firmware_sim.nodes.cia402.dictionary import EDS_PATH
 from firmware_sim.nodes.mit.node import CLEAR_ANSWERS, COMMANDS, EACH, WATCHDOGS
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.odrive.motion import MOTION_ENDPOINTS
@@ -51,7 +51,7 @@ EPILOG = f"""{EXAMPLES}
 endpoints of an ODrive with firmware 0.6, for SDO (real numbers are in its flat_endpoints.json):
 {ENDPOINTS}
 
-objects of a CiA 402 drive, for CANopen tools: {EDS}
+objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 """
 """Text after the options in the help."""
 

@@ -27,7 +27,7 @@ from firmware_sim.world import World, make_world
 
 _KEYS = "\n".join(f"  {key:16}{text}" for key, text in KEYS.items())
 _WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
-_LOG = ".mcap"
+_LOG_SUFFIX = ".mcap"
 """Suffix of files that are never overwritten."""
 _EPILOG = f"""
 factors for --perturb:
@@ -95,7 +95,7 @@ def run(words: list[str]) -> None:
     """
     args = _parser().parse_args(words)
     check_time_scale(args.time_scale)
-    if args.truth and args.truth.suffix == _LOG and args.truth.exists():
+    if args.truth and args.truth.suffix == _LOG_SUFFIX and args.truth.exists():
         raise SimulatorError(f"--truth {args.truth}: is a log; expected another name")
     factors = _factors(args.perturb)
     hand = perturbed(load_hand(args.hand), factors)

@@ -9,7 +9,7 @@ specification, 5.3.3 (frames and microframes).
 import random
 from typing import NamedTuple
 
-DRIFT = 1e-4
+CLOCK_DRIFT = 1e-4
 """Difference between the clock of USB frames and that of the host, so that all phases occur."""
 
 
@@ -73,6 +73,6 @@ class Latency:
         """Return the start of the next USB frame [ns]."""
         if not period_ns:
             return t_ns
-        period = period_ns * (1.0 + DRIFT)
+        period = period_ns * (1.0 + CLOCK_DRIFT)
         passed = (t_ns / period - self._phase) % 1.0
         return t_ns + round((1.0 - passed) * period)

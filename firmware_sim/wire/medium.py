@@ -13,13 +13,13 @@ from firmware_sim.wire.controller import CanController, ErrorState
 
 NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
-QUEUE = 128
+DEFAULT_QUEUE_FRAMES = 128
 """Default capacity of a controller's queue [frames], as ``ip link set can0 txqueuelen 128``."""
 ERROR_FLAGS_BITS = 12 + 8
 """Superposed error flags of several controllers, and the delimiter."""
 ERROR_FLAG_BITS = 6 + 8
 """Error flag of a sender alone on the bus, and the delimiter."""
-CUT_BITS = 1 + 7
+UNSENT_END_BITS = 1 + 7
 """Acknowledge delimiter and end of frame, which a destroyed frame does not reach."""
 SUSPEND_BITS = 8
 """Suspend time of an error-passive sender."""
@@ -39,7 +39,7 @@ class WireOptions:
         seed: seed of the random errors.
     """
 
-    queue: int = QUEUE
+    queue: int = DEFAULT_QUEUE_FRAMES
     error_rate: float = 0.0
     restart_ms: float = -1.0
     seed: int = 0
@@ -158,7 +158,7 @@ class Wire:
         if not self._intact:
             # The flag replaces the end of the frame. More than one controller makes the flag
             # longer.
-            span += self.rate.bits_ns((ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - CUT_BITS)
+            span += self.rate.bits_ns((ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - UNSENT_END_BITS)
         self.busy_ns += span
         self._end_ns = t_ns + span
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.__main__ import OPTIONAL
+from firmware_sim.__main__ import EXTRA_PACKAGES
 from firmware_sim.__main__ import main as firmware_sim
 from handctl.cli.main import FOLDERS, VERBS, main
 from handctl.extras import EXTRAS, MissingExtraError, missing_extra, require_extra
@@ -68,7 +68,7 @@ def test_the_simulator_names_its_extra_as_well() -> None:
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     expected = "firmware_sim: a simulated hand needs mujoco: pip install 'handctl[sim]'\n"
     assert (ran.returncode, ran.stderr) == (2, expected)
-    assert {EXTRAS[package] for package in OPTIONAL} == {"sim"}
+    assert {EXTRAS[package] for package in EXTRA_PACKAGES} == {"sim"}
     assert callable(firmware_sim)
 
 

@@ -16,7 +16,7 @@ from canopen.profiles.p402 import BaseNode402
 from damiao_motor import DaMiaoController
 from odrive_can.odrive import DriveError, ODriveCAN
 
-from firmware_sim.nodes.cia402.dictionary import EDS
+from firmware_sim.nodes.cia402.dictionary import EDS_PATH
 
 WAIT_S = 20.0
 CST = "CYCLIC SYNCHRONOUS TORQUE"
@@ -178,7 +178,7 @@ def _network(interface: str, channel: str) -> Iterator[canopen.Network]:
 def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
     """Enable a drive with canopen's BaseNode402 and the shipped EDS, run CST by PDO at SYNC, and disable."""
     with _network(interface, channel) as network:
-        node = BaseNode402(node_id, str(EDS))
+        node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)
         node.nmt.state = "RESET COMMUNICATION"
         wait_for(lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up")  # wait_for_bootup misses a quick boot-up
@@ -200,7 +200,7 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
 def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
     """Home a drive with BaseNode402, then profile position and cyclic velocity by its mode names."""
     with _network(interface, channel) as network:
-        node = BaseNode402(node_id, str(EDS))
+        node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)
         node.nmt.state = "RESET COMMUNICATION"
         wait_for(lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up")

@@ -9,7 +9,7 @@ import odrive_can
 import pytest
 
 from firmware_sim.bus.frame import REMOTE, Frame
-from firmware_sim.nodes.cia402.dictionary import EDS, Dictionary
+from firmware_sim.nodes.cia402.dictionary import EDS_PATH, Dictionary
 from firmware_sim.programs.drive import Bench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.cia402 import settings as setup
@@ -98,7 +98,7 @@ def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(dbc: cantools.dat
 
 
 def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
-    foreign, ours = canopen.import_od(str(EDS), NODE), Dictionary(NODE)
+    foreign, ours = canopen.import_od(str(EDS_PATH), NODE), Dictionary(NODE)
     for step in setup.required_steps(NODE, 400, 2000, 50, 50):
         entry = foreign[step.number]
         variable = entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[step.sub]

@@ -11,7 +11,7 @@ from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
 from firmware_sim.description import SimulatorError
 from firmware_sim.faults.faulty_drive import FAULTS
 from firmware_sim.nodes import PROTOCOLS, cubemars
-from firmware_sim.nodes.cia402.dictionary import EDS, Dictionary
+from firmware_sim.nodes.cia402.dictionary import EDS_PATH, Dictionary
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.programs.drive import Bench
@@ -249,7 +249,7 @@ def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFix
     text = capsys.readouterr().out
     for key, number in odrive_bench.ENDPOINTS.items():
         assert f"{number}  {key.removeprefix('endpoint_')}" in text
-    assert str(EDS) in text
+    assert str(EDS_PATH) in text
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.faults.text import KINDS, OF_DRIVES, OF_TWO, instances, parse_fault
+from firmware_sim.faults.text import DRIVE_KINDS, KINDS, TWO_MOTOR_KINDS, instances, parse_fault
 from firmware_sim.rig import Rig
 
 HAND = load_hand("jamia")
@@ -55,7 +55,7 @@ def test_wrong_faults_are_refused_in_one_line(text, words):
 
 def second(kind: str, index: int) -> str:
     """Return the second motor of a kind that needs two."""
-    return f" with={HAND.motors[index].name}" if kind in OF_TWO else ""
+    return f" with={HAND.motors[index].name}" if kind in TWO_MOTOR_KINDS else ""
 
 
 FIRST_INSTANCES = [
@@ -104,7 +104,7 @@ def test_no_size_of_any_fault_ends_the_simulator(text):
     assert 1 <= len(run.fault_states()) < 7
 
 
-@pytest.mark.parametrize("kind", OF_DRIVES)
+@pytest.mark.parametrize("kind", DRIVE_KINDS)
 def test_the_sensor_node_is_no_drive(kind):
     with pytest.raises(SimulatorError, match="no node 'sensors'; expected one of index_motor"):
         parse_fault(f"{kind} node=sensors", HAND)

@@ -13,7 +13,7 @@ from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.pace import Pace, rounded_down
 from firmware_sim.priority import ORDINARY_PRIORITY_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.server import LATE_NS, SLIP_NS, STRIDE_NS, Server
+from firmware_sim.server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_NS, Server
 from firmware_sim.shared_clock import SharedClock
 from firmware_sim.world import World
 from tests.firmware_sim.manual_clock import ManualClock
@@ -102,8 +102,8 @@ def test_answers_go_out_in_the_same_turn_in_the_order_of_the_requests(bench: Ben
 def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: Bench) -> None:
     for turn in range(1, 9):
         bench.turn(30)
-        assert bench.world.t_ns == START + min(turn * STRIDE_NS, 30 * MS)
-    assert bench.server.overruns == sum(30 * MS - turn * STRIDE_NS > LATE_NS for turn in range(8))
+        assert bench.world.t_ns == START + min(turn * MAX_CATCH_UP_NS, 30 * MS)
+    assert bench.server.overruns == sum(30 * MS - turn * MAX_CATCH_UP_NS > OVERRUN_NS for turn in range(8))
     assert bench.world.slip_ns == 0
 
 
@@ -144,7 +144,7 @@ def test_an_answer_waits_for_one_stride_at_most(bench: Bench) -> None:
     """Check a case where catching up 10 ms took 2 ms of computing, and the answer came after the next SYNC."""
     sent = bench.turn(30, Frame(0x80, b"\x05"))
     assert [frame.can_id for frame in sent] == [0x1A0]
-    assert bench.world.t_ns == START + STRIDE_NS
+    assert bench.world.t_ns == START + MAX_CATCH_UP_NS
 
 
 class Granted:
@@ -209,7 +209,7 @@ def test_one_stall_gives_no_advice() -> None:
 
 
 def test_slips_without_a_host_are_counted_but_not_reported(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    bench.turn(1 + SLIP_NS // MS + 200)
+    bench.turn(1 + MAX_DELAY_NS // MS + 200)
     assert bench.server.slips == 1
     assert capsys.readouterr().err == ""
 
@@ -221,7 +221,7 @@ def test_a_pace_is_rounded_down_to_one_digit(pace: float, rounded: float) -> Non
 
 def test_a_plant_far_behind_slips_and_reports(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     bench.turn(1, Frame(1, ENABLE))
-    lost_ms = SLIP_NS // MS + 200
+    lost_ms = MAX_DELAY_NS // MS + 200
     bench.turn(1 + lost_ms)
     assert bench.world.t_ns == START + MS
     assert bench.world.slip_ns == lost_ms * MS

@@ -61,7 +61,7 @@ def machine(tmp_path, monkeypatch):
 def test_both_sides_agree_on_the_file(tmp_path) -> None:
     names = ("VERSION", "GATE", "PAUSED", "SENT", "ANSWERED", "REACHED", "COUNT", "OPEN_GATE")
     assert [getattr(shared, name) for name in names] == [getattr(simulated, name) for name in names]
-    assert shared.CONTROLLER_LIMIT_NS < simulated.SILENT_NS, "a pause must end before the simulator gives up"
+    assert shared.CONTROLLER_LIMIT_NS < simulated.MAX_GATE_WAIT_NS, "a pause must end before the simulator gives up"
 
 
 def test_a_fast_machine_needs_no_pause(machine) -> None:
@@ -161,7 +161,7 @@ def test_the_simulator_leaves_a_controller_that_stays_away(machine) -> None:
     clock.start()
     clock.wait(0)
     gate = clock.start_ns + PERIOD + TOLERATED
-    machine.now = gate + simulated.SILENT_NS
+    machine.now = gate + simulated.MAX_GATE_WAIT_NS
     assert machine.simulator.now_ns() == gate
     machine.now += 1
     assert machine.simulator.now_ns() == machine.now

@@ -5,8 +5,8 @@ from firmware_sim.nodes.cia402.kernels import apply_torque
 from firmware_sim.nodes.cia402.node import Cia402Node, Cia402NodeRow
 from firmware_sim.nodes.protocol_spec import CIA402, UNADDRESSED, ProtocolSpec, Shaft
 
-NUMBERS = range(1, 0x7F)
-"""Valid node numbers. CANopen's last number (127) belongs to handctl."""
+VALID_NUMBERS = range(1, 0x7F)
+"""Valid node numbers. The last number of CANopen (127) is the number of handctl."""
 
 
 BENCH_SHAFT = Shaft(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
@@ -41,7 +41,7 @@ def _force_command(node: Cia402Node, frame: Frame) -> None:
 
 
 SPEC = ProtocolSpec(
-    Cia402Node, NUMBERS, BENCH_SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402,
+    Cia402Node, VALID_NUMBERS, BENCH_SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402,
     _force_command,
 )  # fmt: skip
 """The CiA 402 protocol."""

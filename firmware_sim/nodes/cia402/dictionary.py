@@ -7,7 +7,7 @@ from typing import Any
 
 from firmware_sim.nodes.cia402.kernels import CYCLIC_OBJECTS, VALUE_CAPACITY
 
-EDS = Path(__file__).with_name("cia402.eds")
+EDS_PATH = Path(__file__).with_name("cia402.eds")
 """Path of the EDS file."""
 _SIZES = {0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4}
 """Size of each data type [bytes]. Source: CiA 301, data types INTEGER8 to UNSIGNED32."""
@@ -19,9 +19,9 @@ NO_SUB = 0x06090011
 """SDO abort code: the sub-index does not exist. Source: CiA 301."""
 READ_ONLY = 0x06010002
 """SDO abort code: the object is read-only. Source: CiA 301."""
-LENGTH = 0x06070010
+WRONG_TYPE = 0x06070010
 """SDO abort code: the data type does not match. Source: CiA 301."""
-RANGE = 0x06090030
+OUT_OF_RANGE = 0x06090030
 """SDO abort code: the value is out of range. Source: CiA 301."""
 WRONG_STATE = 0x08000022
 """SDO abort code: not possible in the present state of the device. Source: CiA 301."""
@@ -84,7 +84,7 @@ class Dictionary:
             memory: memory for ``kernels.VALUE_CAPACITY`` values, None to allocate a list.
         """
         parser = configparser.ConfigParser(interpolation=None)
-        parser.read(EDS, encoding="ascii")
+        parser.read(EDS_PATH, encoding="ascii")
         self.texts: dict[Key, bytes] = {}
         self._sizes: dict[Key, int] = {}
         self._signed: set[Key] = set()
@@ -163,7 +163,7 @@ class Dictionary:
             Abort: the object does not exist, is read-only, or has another length.
         """
         if len(raw) != self.size(key):
-            raise Abort(LENGTH)
+            raise Abort(WRONG_TYPE)
         if key not in self._writable:
             raise Abort(READ_ONLY)
         self.values[self._indices_of[key]] = int.from_bytes(raw, "little", signed=key in self._signed)

@@ -25,7 +25,7 @@ Choices:
 import math
 from typing import Any
 
-from firmware_sim.nodes.cia402.dictionary import RANGE, Abort
+from firmware_sim.nodes.cia402.dictionary import OUT_OF_RANGE, Abort
 from firmware_sim.nodes.cia402.kernels import TURN
 from firmware_sim.nodes.motion import PERIOD_NS, Cascade, Setpoint, assumed_gains
 
@@ -64,7 +64,7 @@ def check_write(index: int, value: int) -> None:
         Abort: the drive has no such homing method.
     """
     if index == 0x6098 and value not in HOMING_METHODS:
-        raise Abort(RANGE)
+        raise Abort(OUT_OF_RANGE)
 
 
 class MotionModes:
@@ -112,7 +112,7 @@ class MotionModes:
         self.advance(t_ns)
 
     def end(self) -> None:
-        """Leave the mode. Status bits of the modes are gone."""
+        """Leave the mode, and clear the status bits of the mode."""
         self._mode = 0
         self._node.motion_due_ns = 0
         self._node.mode_bits = -1
@@ -148,7 +148,7 @@ class MotionModes:
         elif self._next is None:
             self._next = target
         self._acknowledged = True
-        # The reached target is the old one.
+        # The bit belongs to the previous target.
         self._bits &= ~REACHED
 
     def _start_homing(self) -> None:
@@ -160,7 +160,7 @@ class MotionModes:
         method = node.objects[0x6098, 0]
         self._target = self._position()
         if method in (INDEX_NEGATIVE, INDEX_POSITIVE):
-            # The index pulse is at whole turns of the encoder, whatever the position reads.
+            # The index pulse is at whole turns of the encoder, independent of the zero of the position.
             turn = node.counts
             raw = self._position() - node.offset / TURN * turn
             edge = math.floor(raw / turn) if method == INDEX_NEGATIVE else math.ceil(raw / turn)

@@ -82,8 +82,8 @@ class Cia402Node:
         power: state machine of the power stage.
         objects: object dictionary.
         thermal: temperatures.
-        ids: None, because it takes many identifiers.
-        malformed: frames that it could not decode.
+        ids: None, because the node answers many identifiers.
+        malformed: frames that the node could not decode.
         wake_ns: time of the next wake [ns].
         watchdog_fed_ns: time of the master's last heartbeat [ns], -1 if it is not supervised.
         thermal_ns: time of the last thermal update [ns].
@@ -94,7 +94,7 @@ class Cia402Node:
         rpdo_id: identifier of the standard RPDO, see ``pdo.Pdos``.
         tpdo_id: identifier of the standard TPDO, see ``pdo.Pdos``.
         tpdo_kind: transmission type of the standard TPDO.
-        accepted_ids: identifiers that it may answer.
+        accepted_ids: identifiers that the node may answer.
         values: values of the object dictionary.
         frame_pending: True if a frame waits to be sent.
         motion: position, velocity and homing modes.

@@ -11,7 +11,7 @@ Objects of PDO i:
 from collections.abc import Iterator
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.cia402.dictionary import RANGE, Abort, Dictionary, Key
+from firmware_sim.nodes.cia402.dictionary import OUT_OF_RANGE, Abort, Dictionary, Key
 
 OFF = 1 << 31
 """Bit of an identifier object: the PDO is off."""
@@ -57,7 +57,7 @@ class Pdos:
     def _check(self, index: int, count: int) -> None:
         """Check the number of entries and the length of a mapping."""
         if count > 4:
-            raise Abort(RANGE)
+            raise Abort(OUT_OF_RANGE)
         if sum(self._objects[index, i + 1] & 0xFF for i in range(count)) > 64:
             raise Abort(TOO_LONG)
 

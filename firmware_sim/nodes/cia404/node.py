@@ -100,8 +100,8 @@ class AmplifierNode:
         cells: indices of its load cells among those of the hand.
         nmt: NMT state.
         objects: object dictionary.
-        ids: identifiers that it may answer.
-        malformed: frames that it could not decode.
+        ids: identifiers that the node may answer.
+        malformed: frames that the node could not decode.
         wake_ns: time of the next heartbeat [ns].
         serial: serial number.
     """
@@ -128,7 +128,7 @@ class AmplifierNode:
         self.wake_ns = 0
 
     def _update_ids(self) -> None:
-        """Update the identifiers that it may answer."""
+        """Update the identifiers that the node may answer."""
         self._sync_id = self.objects[0x1005, 0] & 0x7FF
         self.ids = frozenset((0x000, self._sync_id, 0x600 + self.node_id))
 

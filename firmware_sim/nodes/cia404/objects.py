@@ -18,7 +18,16 @@ Objects as delivered. n is the node number, c a channel from 1 on.
 import math
 import struct
 
-from firmware_sim.nodes.cia402.dictionary import LENGTH, NO_OBJECT, NO_SUB, RANGE, READ_ONLY, WRONG_STATE, Abort, Key
+from firmware_sim.nodes.cia402.dictionary import (
+    NO_OBJECT,
+    NO_SUB,
+    OUT_OF_RANGE,
+    READ_ONLY,
+    WRONG_STATE,
+    WRONG_TYPE,
+    Abort,
+    Key,
+)
 
 OFF = 1 << 31
 """Bit of an identifier object: the PDO is off."""
@@ -39,7 +48,7 @@ POSITIVE_OVERLOAD = 2
 NEGATIVE_OVERLOAD = 4
 """Bit of the status: below the range."""
 OVERLOAD = 1.03125
-"""Reading that counts as overload, over the range. Source: WIKA MH-4-CAN, 3.125 % beyond the range."""
+"""Smallest reading that counts as overload, divided by the range. Source: WIKA MH-4-CAN, 3.125 % beyond the range."""
 FLOAT = 0x6130
 """Process value as a float."""
 SHORT = 0x7130
@@ -129,7 +138,7 @@ class Objects:
         if key[0] in _SIZES or key in self._fixed:
             raise Abort(READ_ONLY)
         if len(raw) != self._sizes[key]:
-            raise Abort(LENGTH)
+            raise Abort(WRONG_TYPE)
         value = int.from_bytes(raw, "little")
         if 0x1A00 <= key[0] < 0x1A00 + TPDOS:
             self._check_mapping(key, value)
@@ -145,7 +154,7 @@ class Objects:
         if sub and (value >> 16 not in _SIZES or not 1 <= value >> 8 & 0xFF <= len(self.readings)):
             raise Abort(NOT_MAPPABLE)
         if not sub and value > 8:
-            raise Abort(RANGE)
+            raise Abort(OUT_OF_RANGE)
         if not sub and sum(self[index, i + 1] & 0xFF for i in range(value)) > 64:
             raise Abort(TOO_LONG)
 

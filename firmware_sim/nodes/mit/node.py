@@ -93,8 +93,8 @@ class MitNode:
         registers: register file.
         offset: angle on the wire at theta = 0 [rad].
         thermal: temperatures.
-        ids: identifiers that it may answer.
-        malformed: frames on its identifiers that it could not decode.
+        ids: identifiers that the node may answer.
+        malformed: frames on the node's identifiers that the node could not decode.
         wake_ns: time of the next wake [ns].
         watchdog_fed_ns: time of the last frame that fed the watchdog [ns].
         timeout_ns: timeout of the watchdog [ns], 0 if off.

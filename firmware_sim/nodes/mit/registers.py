@@ -42,10 +42,10 @@ MOTOR_POSITION = 80
 OUTPUT_POSITION = 81
 """Register: output position [rad]."""
 
-_UINT = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
+_UINT_REGISTERS = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
 """Registers of type uint32. All others are float32."""
-_READ_ONLY = {11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 36, *range(50, 56), 60, 61, 62, 80, 81}
-_POSITIVE = {KT, OVER_TEMPERATURE, ACCELERATION, MAX_SPEED, PMAX, VMAX, TMAX}
+_READ_ONLY_REGISTERS = {11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 36, *range(50, 56), 60, 61, 62, 80, 81}
+_POSITIVE_REGISTERS = {KT, OVER_TEMPERATURE, ACCELERATION, MAX_SPEED, PMAX, VMAX, TMAX}
 """Registers that accept only positive values."""
 MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
 """Values of CTRL_MODE: MIT, position-velocity, velocity, force-position."""
@@ -74,12 +74,12 @@ class Registers:
     def read(self, register: int) -> bytes:
         """Return the four bytes of a register."""
         value = self._values[register]
-        return struct.pack("<I", int(value)) if register in _UINT else struct.pack("<f", value)
+        return struct.pack("<I", int(value)) if register in _UINT_REGISTERS else struct.pack("<f", value)
 
     def write(self, register: int, raw: bytes) -> None:
         """Write four bytes from the wire. Read-only registers and impossible values are ignored."""
-        value = float(struct.unpack("<I" if register in _UINT else "<f", raw)[0])
-        if register not in _READ_ONLY and _possible(register, value):
+        value = float(struct.unpack("<I" if register in _UINT_REGISTERS else "<f", raw)[0])
+        if register not in _READ_ONLY_REGISTERS and _possible(register, value):
             self._values[register] = value
 
     def save(self) -> None:
@@ -102,7 +102,7 @@ def _possible(register: int, value: float) -> bool:
     # Register 35 is the code of the bit rate.
     if register == 35:
         return value <= 11
-    return math.isfinite(value) and (value > 0 or register not in _POSITIVE)
+    return math.isfinite(value) and (value > 0 or register not in _POSITIVE_REGISTERS)
 
 
 def _factory(spec: MotorSpec) -> dict[int, float]:

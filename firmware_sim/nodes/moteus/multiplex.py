@@ -16,9 +16,9 @@ INT8, INT16, INT32, FLOAT = range(4)
 """Types of values."""
 STRUCTS = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
 """Encoding of a value of each type."""
-FULL = (127, 32767, 2147483647)
+MAX_COUNTS = (127, 32767, 2147483647)
 """Largest count of each integer type. The most negative count means NaN."""
-LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Payload lengths of CAN FD [bytes]."""
 PADDING = b"\x50"
 """No operation, which fills a payload up to a length of CAN FD."""
@@ -93,7 +93,7 @@ def decode(raw: bytes, kind: int, steps: tuple[float, float, float]) -> float:
     (number,) = STRUCTS[kind].unpack(raw)
     if kind == FLOAT:
         return float(number)
-    return math.nan if number < -FULL[kind] else float(number * steps[kind])
+    return math.nan if number < -MAX_COUNTS[kind] else float(number * steps[kind])
 
 
 def encode(value: float, kind: int, steps: tuple[float, float, float]) -> bytes:
@@ -101,10 +101,10 @@ def encode(value: float, kind: int, steps: tuple[float, float, float]) -> bytes:
     if kind == FLOAT:
         return STRUCTS[FLOAT].pack(value)
     if not math.isfinite(value):
-        return STRUCTS[kind].pack(-FULL[kind] - 1)
+        return STRUCTS[kind].pack(-MAX_COUNTS[kind] - 1)
     # A step of 1e-5 and 0.00003 give 2.9999999999999996 counts: the drive's float32 gives 3.
     count = struct.unpack("<f", struct.pack("<f", value / steps[kind]))[0]
-    return STRUCTS[kind].pack(int(max(-FULL[kind], min(FULL[kind], count))))
+    return STRUCTS[kind].pack(int(max(-MAX_COUNTS[kind], min(MAX_COUNTS[kind], count))))
 
 
 def head(base: int, kind: int, count: int, first: int) -> bytes:
@@ -116,4 +116,4 @@ def head(base: int, kind: int, count: int, first: int) -> bytes:
 
 def padded(data: bytes) -> bytes:
     """Return a payload with a length of CAN FD."""
-    return data + PADDING * (min(length for length in LENGTHS if length >= len(data)) - len(data))
+    return data + PADDING * (min(length for length in FD_LENGTHS if length >= len(data)) - len(data))

@@ -1,13 +1,13 @@
 """A motor with a moteus controller. Source: facts, moteus.
 
 A frame is executed subframe by subframe. Written registers take effect at the end of the frame if
-the frame has written the mode. The reply is built before, therefore its mode is that of the frame
-before. An unknown subframe ends the execution of a frame.
+the frame has written the mode. The reply is built before this, and therefore has the mode of the
+previous frame. An unknown subframe ends the execution of a frame.
 
 Choices where the fact sheet has an "assumption":
 
 - Preparation of the power stage takes 10 ms, in modes 2, 3 and 4.
-- The drive is calibrated, with the gains of ``text.FACTORY``. The integrator is not simulated.
+- The drive is calibrated, with the gains of ``text.FACTORY_CONFIGURATION``. The integrator is not simulated.
 - Trajectory limits, stop position, fixed current and the voltage modes are not simulated: a command
   with one of these modes is refused like a value that does not exist.
 - Beyond a position limit the drive makes no torque in the direction of the limit.
@@ -68,8 +68,8 @@ class MoteusNode:
         channel: text channel with the configuration.
         thermal: temperatures.
         offset: angle on the wire at theta = 0 [rad].
-        ids: None, because it takes many identifiers.
-        malformed: frames that it could not decode.
+        ids: None, because the node answers many identifiers.
+        malformed: frames that the node could not decode.
         wake_ns: time of the next wake [ns].
         watchdog_fed_ns: time of the last command [ns].
     """
@@ -327,7 +327,7 @@ class MoteusNode:
             self._servo(kp, kd, position, velocity, command[reg.FEEDFORWARD], limit)
 
     def _violated_bound(self) -> float | None:
-        """Return the bound of "stay within" that the position violates [turn], None without."""
+        """Return the bound of "stay within" that the position violates [turn], None if no bound is violated."""
         lower = self.command[reg.LOWER_BOUND]
         upper = self.command[reg.UPPER_BOUND]
         if self._position < lower:

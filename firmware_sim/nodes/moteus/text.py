@@ -6,7 +6,7 @@ Configuration items are in the working memory until ``conf write`` stores them.
 import math
 from collections.abc import Callable
 
-FACTORY: dict[str, float] = {
+FACTORY_CONFIGURATION: dict[str, float] = {
     "servo.timeout_mode": 12.0,
     "servo.default_timeout_s": 0.1,
     "servo.timeout_max_torque_Nm": 5.0,
@@ -22,7 +22,7 @@ FACTORY: dict[str, float] = {
     "motor_position.rotor_to_output_ratio": 1.0,
 }
 """Configuration items of a drive as delivered, calibrated. Other items do not exist in the simulation."""
-WHOLE = {"servo.timeout_mode", "servo.fixed_voltage_mode"}
+INTEGER_ITEMS = {"servo.timeout_mode", "servo.fixed_voltage_mode"}
 """Items with integers."""
 LONGEST_LINE = 256
 """Size of the drive's line buffer [bytes]. A longer line is dropped."""
@@ -43,8 +43,8 @@ class TextChannel:
         Args:
             stop: stops the motor, for ``d stop``.
         """
-        self.items = dict(FACTORY)
-        self.saved = dict(FACTORY)
+        self.items = dict(FACTORY_CONFIGURATION)
+        self.saved = dict(FACTORY_CONFIGURATION)
         self.out = b""
         self._stop = stop
         self._line = b""
@@ -59,7 +59,7 @@ class TextChannel:
             self._line = b""
 
     def read(self, longest: int) -> bytes:
-        """Return at most so many bytes of the answers. They are gone from the drive."""
+        """Return at most `longest` bytes of the answers, and remove these bytes."""
         part = self.out[:longest]
         self.out = self.out[longest:]
         return part
@@ -81,7 +81,7 @@ class TextChannel:
             case ["conf", "load"]:
                 self.items = dict(self.saved)
             case ["conf", "default"]:
-                self.items = dict(FACTORY)
+                self.items = dict(FACTORY_CONFIGURATION)
             case ["d", "stop"]:
                 self._stop()
             case ["tel", "stop"]:
@@ -93,7 +93,7 @@ class TextChannel:
     def _shown(self, name: str) -> str:
         """Return an item as the drive prints it."""
         value = self.items[name]
-        return f"{int(value)}" if name in WHOLE else f"{value:f}"
+        return f"{int(value)}" if name in INTEGER_ITEMS else f"{value:f}"
 
     def _set(self, name: str, text: str) -> str:
         """Set an item and return the answer."""
@@ -101,7 +101,7 @@ class TextChannel:
             value = float(text)
         except ValueError:
             value = math.inf
-        if name not in self.items or math.isinf(value) or (name in WHOLE and not value.is_integer()):
+        if name not in self.items or math.isinf(value) or (name in INTEGER_ITEMS and not value.is_integer()):
             return "ERR error setting"
         self.items[name] = value
         return "OK"

@@ -130,14 +130,14 @@ class OdriveNode:
         current_limit: current limit [A].
         velocity_gain: velocity gain [N m s/turn].
         thermal: temperatures.
-        ids: None, because it takes many identifiers.
-        malformed: frames that it could not decode.
+        ids: None, because the node answers many identifiers.
+        malformed: frames that the node could not decode.
         wake_ns: time of the next wake [ns].
         watchdog_fed_ns: time of the last setpoint [ns].
         thermal_ns: time of the last thermal update [ns].
         heartbeat_due_ns: time of the next heartbeat [ns].
         encoder_due_ns: time of the next encoder estimates [ns].
-        accepted_ids: identifiers that it may answer.
+        accepted_ids: identifiers that the node may answer.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -372,7 +372,7 @@ class OdriveNode:
         return float(struct.unpack("<f", raw)[0]) if raw else default
 
     def endpoint_float(self, number: int) -> float:
-        """Return a setting of ``MOTION_ENDPOINTS``, its default if the hand file has given its number away."""
+        """Return a setting of ``MOTION_ENDPOINTS``, or its default if the hand file uses its number otherwise."""
         if number in self._numbers.values():
             return MOTION_ENDPOINTS[number][1]
         (value,) = struct.unpack("<f", self.endpoints[number])

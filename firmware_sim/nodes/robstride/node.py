@@ -60,9 +60,9 @@ REPORTED = {
 }  # fmt: skip
 """Faults in the fault report, by the fault in the feedback."""
 FEEDBACK_FAULTS = 0x3F
-"""Faults that the feedback can carry. Bits from 8 on are bits 0 and above of the fault report alone."""
+"""Faults that the feedback can report. Higher bits are only in the fault report, see ``REPORT_SHIFT``."""
 REPORT_SHIFT = 8
-"""Bit of a fault for bit 0 of the fault report."""
+"""Bit of a fault that corresponds to bit 0 of the fault report."""
 HOT_C = 135.0
 """Winding temperature of the fault [degC]."""
 THERMAL_PERIOD_NS = 100_000_000
@@ -98,8 +98,8 @@ class RobstrideNode:
         parameters: bytes of the writable parameters, by number.
         thermal: temperatures.
         offset: angle on the wire at theta = 0 [rad].
-        ids: None, because it takes many identifiers.
-        malformed: frames that it could not decode.
+        ids: None, because the node answers many identifiers.
+        malformed: frames that the node could not decode.
         wake_ns: time of the next wake [ns].
         watchdog_fed_ns: time of the last command [ns].
     """

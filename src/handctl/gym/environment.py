@@ -252,7 +252,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 
     def values_of(self, q: Vector) -> Vector:
-        """Return the angle of each joint or digit of an action (V,) at joint angles (J,), in the unit of these angles."""
+        """Return the angle for each name of an action (V,) at joint angles (J,), in the unit of these angles."""
         if self._space == "joint":
             return np.asarray(q)
         return np.array([(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits])

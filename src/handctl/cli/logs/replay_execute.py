@@ -66,9 +66,8 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     if args.json:
         print_json(result)
     else:
-        print_escaped(
-            f"{execution.ticks} ticks, {execution.differing} differ, {execution.different_decisions} with other decisions"
-        )
+        other = f"{execution.different_decisions} with other decisions"
+        print_escaped(f"{execution.ticks} ticks, {execution.differing} differ, {other}")
         for word, one in (
             ("first", execution.first),
             ("state", execution.state),
