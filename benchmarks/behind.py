@@ -12,7 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from lockstep import SCENES, repeated, shortest, written_down
+from lockstep import SCENES, record_rollout, repeat_rollout, sum_of_shortest
 from stack import RATES, Stack
 
 from handctl.campaign.stage import hand_with_protocol
@@ -51,9 +51,9 @@ def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
         def stack() -> Stack:
             return Stack(str(path), RATES[hand], SCENES[scene])
 
-        rollout = written_down(stack(), seconds)
-        bare = shortest(repeated(stack(), rollout) for _ in range(PASSES))
-        peer = shortest(stack().behind_the_wire(seconds) for _ in range(PASSES))
+        rollout = record_rollout(stack(), seconds)
+        bare = sum_of_shortest(repeat_rollout(stack(), rollout) for _ in range(PASSES))
+        peer = sum_of_shortest(stack().behind_the_wire(seconds) for _ in range(PASSES))
     ticks = round(seconds * RATES[hand])
     steps = len(rollout.torque)
     bare_us = (bare - steps * clock_s()) / ticks * 1e6

@@ -26,8 +26,8 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 MOTORS = (4, 11)
-FLOOR = "C, the same system calls"
-PACKETS = "C, a packet a frame"
+C_REFERENCE = "C, the same system calls"
+PACKET_PER_FRAME = "C, one packet per frame"
 ROUNDS = 5
 REFERENCE = "python-can, scalar codec"
 
@@ -37,24 +37,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--one", nargs=3, metavar=("MEDIUM", "FLOOR", "TICKS"), help=argparse.SUPPRESS)
+    parser.add_argument("--one", nargs=3, metavar=("MEDIUM", "C_REFERENCE", "TICKS"), help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:
         medium, floor, ticks = args.one
         print(json.dumps(measure(medium, floor, int(ticks))))
         return
-    result = everything(1000 if args.quick else 5000)
+    result = measure_both_buses(1000 if args.quick else 5000)
     print(json.dumps(result, indent=2)) if args.json else show(result)
 
 
-def undisturbed() -> str:
+def use_one_core() -> str:
     """Run all alternatives on one core, with real-time priority if allowed. Return a description of both.
 
     In user-mode Linux, the kernel and the programs are processes of the host. On two cores they
     would wait for each other.
     """
     if sys.platform != "linux":
-        return "as any other process"
+        return "any core, ordinary priority"
     core = max(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {core})
     try:
@@ -64,16 +64,16 @@ def undisturbed() -> str:
     return f"core {core}, SCHED_FIFO"
 
 
-def everything(ticks: int) -> dict:
-    """Measure both buses. For a bus that is not available, the result has the reason instead of numbers."""
+def measure_both_buses(ticks: int) -> dict:
+    """Measure both buses. For an unavailable bus, the result has the reason instead of numbers."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         os.environ["HANDCTL_RUN_DIR"] = short
-        floor = build(Path(short))
-        how = undisturbed()
-        return {"local": measure("local", floor, ticks), "vcan": in_guest(floor, ticks), "on": how}
+        floor = compile_reference(Path(short))
+        how = use_one_core()
+        return {"local": measure("local", floor, ticks), "vcan": measure_vcan(floor, ticks), "on": how}
 
 
-def build(folder: Path) -> str:
+def compile_reference(folder: Path) -> str:
     """Compile the C program and return its path. Return an empty string without a compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
@@ -83,7 +83,7 @@ def build(folder: Path) -> str:
     return str(target)
 
 
-def in_guest(floor: str, ticks: int) -> dict:
+def measure_vcan(floor: str, ticks: int) -> dict:
     """Measure the exchange on vcan0."""
     sys.path.insert(0, str(HERE.parent))
     from tests.vcan import uml
@@ -98,7 +98,9 @@ def in_guest(floor: str, ticks: int) -> dict:
 
 
 def measure(medium: str, floor: str, ticks: int) -> dict:
-    """Measure wall and CPU time of each alternative [us], by number of motors. A missing alternative has a reason.
+    """Measure wall and CPU time of each alternative [us], by number of motors.
+
+    For a missing alternative the result has the reason.
 
     Each round measures all alternatives, because other work on the machine disturbs some rounds more than others. The
     result is the wall time of the fastest round. The CPU time is the mean of all rounds, because user-mode Linux counts
@@ -108,13 +110,13 @@ def measure(medium: str, floor: str, ticks: int) -> dict:
     for motors in MOTORS:
         rounds: dict = {}
         for _ in range(ROUNDS):
-            for name, row in a_round(medium, floor, motors, ticks // ROUNDS):
+            for name, row in measure_round(medium, floor, motors, ticks // ROUNDS):
                 rounds.setdefault(name, []).append(row)
-        result[str(motors)] = with_ratios({name: together(rows) for name, rows in rounds.items()})
+        result[str(motors)] = add_ratios({name: combine_rounds(rows) for name, rows in rounds.items()})
     return result
 
 
-def together(rows: list[dict]) -> dict:
+def combine_rounds(rows: list[dict]) -> dict:
     """Combine the rounds of one alternative into a row."""
     if "skipped" in rows[0]:
         return rows[0]
@@ -122,40 +124,40 @@ def together(rows: list[dict]) -> dict:
     return {"wall_us": min(wall), "cpu_us": statistics.fmean(used)}
 
 
-def a_round(medium: str, floor: str, motors: int, ticks: int):
+def measure_round(medium: str, floor: str, motors: int, ticks: int):
     """Yield name and times of each alternative, one after the other."""
     sys.path.insert(0, str(HERE))
     from exchange.clients import CLIENTS
     from exchange.media import MEDIA, motors_on
-    from exchange.ways import WAYS
+    from exchange.ways import ALTERNATIVES
 
-    warnings.simplefilter("ignore")  # of the clients
+    warnings.simplefilter("ignore")  # The clients print warnings.
     if floor:
-        yield FLOOR, in_c(floor, medium, MEDIA[medium][2], motors, ticks)
+        yield C_REFERENCE, measure_c_program(floor, medium, MEDIA[medium][2], motors, ticks)
         if medium == "local":
-            yield PACKETS, in_c(floor, "packets", "-", motors, ticks)
-    for name, make in {**WAYS, **CLIENTS}.items():
+            yield PACKET_PER_FRAME, measure_c_program(floor, "packets", "-", motors, ticks)
+    for name, make in {**ALTERNATIVES, **CLIENTS}.items():
         with motors_on(medium) as (peer, interface, channel):
             try:
                 made = make(interface, channel, motors)
             except (ImportError, ValueError) as error:
                 yield name, {"skipped": str(error)}
                 continue
-            yield name, timed(made, peer, motors, ticks if name in WAYS else max(50, ticks // 5))
+            yield name, measure_client(made, peer, motors, ticks if name in ALTERNATIVES else max(50, ticks // 5))
 
 
-def in_c(floor: str, medium: str, channel: str, motors: int, ticks: int) -> dict:
+def measure_c_program(floor: str, medium: str, channel: str, motors: int, ticks: int) -> dict:
     """Measure the C program."""
     words = [floor, medium, channel, str(motors), str(ticks)]
     out = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
     return {"wall_us": int(out[0]) / 1e3, "cpu_us": int(out[1]) / 1e3}
 
 
-def timed(client, peer, motors: int, ticks: int) -> dict:
+def measure_client(client, peer, motors: int, ticks: int) -> dict:
     """Measure sending and receiving of a tick [us]: median wall time and mean CPU time, without garbage collection."""
     torques = [0.01 * i for i in range(motors)]
 
-    def spans(clock, count: int) -> list[int]:
+    def measure_ticks(clock, count: int) -> list[int]:
         """Measure the times of a number of ticks, and subtract the time of reading the clock.
 
         In user-mode Linux, reading the clock takes as long as sending a frame.
@@ -173,30 +175,32 @@ def timed(client, peer, motors: int, ticks: int) -> dict:
             assert len(got) == motors
         return times
 
-    spans(time.perf_counter_ns, max(20, ticks // 10))
+    measure_ticks(time.perf_counter_ns, max(20, ticks // 10))
     gc.collect()
     gc.disable()
-    wall = spans(time.perf_counter_ns, ticks)
-    used = spans(time.thread_time_ns, ticks)
+    wall = measure_ticks(time.perf_counter_ns, ticks)
+    used = measure_ticks(time.thread_time_ns, ticks)
     gc.enable()
     client.close()
     return {"wall_us": statistics.median(wall) / 1e3, "cpu_us": statistics.fmean(used) / 1e3}
 
 
-def with_ratios(rows: dict) -> dict:
+def add_ratios(rows: dict) -> dict:
     """Add to each row its ratio to the C programs and its speed-up over python-can."""
     reference = rows[REFERENCE]
     for row in rows.values():
         if "skipped" not in row:
-            row["times_floor"] = row["wall_us"] / rows[FLOOR]["wall_us"] if FLOOR in rows else None
-            row["times_packets"] = row["wall_us"] / rows[PACKETS]["wall_us"] if PACKETS in rows else None
+            row["times_floor"] = row["wall_us"] / rows[C_REFERENCE]["wall_us"] if C_REFERENCE in rows else None
+            row["times_packets"] = (
+                row["wall_us"] / rows[PACKET_PER_FRAME]["wall_us"] if PACKET_PER_FRAME in rows else None
+            )
             row["times_faster_than_python_can"] = reference["wall_us"] / row["wall_us"]
     return rows
 
 
 def show(result: dict) -> None:
     """Print the result as text."""
-    print(f"on {result.pop('on')}; the quietest of {ROUNDS} rounds")
+    print(f"on {result.pop('on')}; the fastest of {ROUNDS} rounds")
     for medium, sizes in result.items():
         if "skipped" in sizes:
             print(f"{medium}: skipped: {sizes['skipped']}")

@@ -1,8 +1,8 @@
 """Error of the tension estimate, compared with the raw load cell, simpler filters, and a reference filter.
 
 ``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Two
-hands move freely, grasp a cylinder and let their tendons go slack, in lockstep over the simulated
-bus. A bench hand pulls beyond the knee of its tendons. The plant has the effects of the hand files
+hands move freely, grasp a cylinder and slacken their tendons, in lockstep over the simulated bus. The
+hand `jamia_bench` pulls beyond the knee of its tendons. The plant has the effects of the hand files
 and of firmware_sim: capstan and motor friction, tendon damping, current loop, encoder and load-cell
 resolution, noise, drift, one period of bus delay. The factors below change the parameters of the
 plant, and the controller does not know these factors.
@@ -20,11 +20,11 @@ from functools import cache
 import numpy as np
 from trials import estimation_page, page
 from trials.filters import RATES, WEIGHTS, averaged, cell_alone
-from trials.hands import CLEAR, hand_by_name
+from trials.hands import CLEAR_SUFFIX, hand_by_name
 from trials.jobs import Plan, add_options, collect, plan_of
 from trials.limits import CELL_DRIFT_VARIANCE_N2_PER_S, limit
 from trials.lockstep import RATES_HZ, Trial, TrialRecord, run
-from trials.plants import FURTHER_OFF, PLANTS, TO_CONTACT
+from trials.plants import FURTHER_PLANTS, PHASES_TO_CONTACT, PLANTS
 from trials.script import Script, Step
 from trials.windows import REGIMES, windows
 
@@ -35,7 +35,7 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 
 HANDS = ("jamia", "jamia11")
-TRIED = PLANTS | FURTHER_OFF
+TRIED_PLANTS = PLANTS | FURTHER_PLANTS
 MOVES = Script(
     (
         Step("slow", 1.0, angle_deg=30.0, move_s=0.8),
@@ -51,23 +51,23 @@ GRASP = {
     "schema": 1,
     "name": "estimation",
     "phase": [
-        *TO_CONTACT,
+        *PHASES_TO_CONTACT,
         {"kind": "hold", "name": "hold", "tension_N": 30.0, "rate_N_per_s": 60.0, "duration_s": 1.5},
         {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 100.0},
     ],
 }  # fmt: skip
-STRONG = {
+STRONG_GRASP = {
     **GRASP,
     "name": "beyond the knee",
     "phase": [
-        *TO_CONTACT,
+        *PHASES_TO_CONTACT,
         {"kind": "hold", "name": "hold", "tension_N": 180.0, "rate_N_per_s": 200.0, "duration_s": 1.2},
         {"kind": "hold", "name": "strong", "tension_N": 232.0, "rate_N_per_s": 100.0, "duration_s": 1.2},
         {"kind": "hold", "name": "less", "tension_N": 160.0, "rate_N_per_s": 200.0, "duration_s": 0.6},
     ],
 }  # fmt: skip
 SCENE = "cylinder"
-WAYS = ("filtered", "raw", "estimate", "raw now", "average", "cell alone")
+ESTIMATORS = ("filtered", "raw", "estimate", "raw now", "average", "cell alone")
 
 
 RATIOS = (
@@ -83,9 +83,9 @@ RATIOS = (
 def trials(hand: str, plant: str, seed: int) -> list[Trial]:
     """Return the trials of one seed."""
     if hand == "jamia_bench":
-        return [Trial(hand, _task(STRONG), seed, SCENE, TRIED[plant])]
-    free = Trial(hand + CLEAR, MOVES, seed, None, TRIED[plant])
-    return [free, Trial(hand, _task(GRASP), seed, SCENE, TRIED[plant])]
+        return [Trial(hand, _task(STRONG_GRASP), seed, SCENE, TRIED_PLANTS[plant])]
+    free = Trial(hand + CLEAR_SUFFIX, MOVES, seed, None, TRIED_PLANTS[plant])
+    return [free, Trial(hand, _task(GRASP), seed, SCENE, TRIED_PLANTS[plant])]
 
 
 def _task(content: dict) -> TaskProgram:
@@ -143,7 +143,7 @@ def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
 @cache
 def _limits(hand: str, is_held: bool) -> np.ndarray:
     """Return the standard deviation of the reference (N, 2), at the last sample and at present [N]."""
-    name = hand.removesuffix(CLEAR)
+    name = hand.removesuffix(CLEAR_SUFFIX)
     model = HandModel.of(hand_by_name(name), Gains(), RATES_HZ[name])
     return np.array([limit(model, i, is_held) for i in range(model.tendon_count)])
 
@@ -158,9 +158,9 @@ def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
         mean = {name: float(np.sqrt(np.mean([row[name] for row in seeds]))) for name in seeds[0] if "lag" not in name}
         best = {
             column: min((name for name in mean if name.startswith(f"{column} ")), key=mean.__getitem__)
-            for column in WAYS[4:]
+            for column in ESTIMATORS[4:]
         }
-        row = {column: mean[best.get(column, column)] for column in WAYS} | {
+        row = {column: mean[best.get(column, column)] for column in ESTIMATORS} | {
             "limit": mean["limit"],
             "limit now": mean["limit now"],
             "sigma": mean["sigma"],
@@ -185,7 +185,7 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
     cases = [(hand, plant) for plant in plants for hand in HANDS]
     cases.insert(len(HANDS), ("jamia_bench", "as known"))
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
-    # Seed by seed, so that a run that was stopped has the same number of results of each case.
+    # The jobs are in the order of their seeds, so that a stopped benchmark has equally many results of each case.
     jobs = [(*case, k) for k in range(max(counts)) for case, n in zip(cases, counts, strict=True) if k < n]
     results = collect(judge, jobs, plan)
     tables: dict = {"seeds": {}, "hands": {}, "ended": []}
@@ -201,7 +201,7 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
 def show(result: dict) -> None:
     """Print the result as text."""
     columns = (
-        *WAYS,
+        *ESTIMATORS,
         "limit",
         "limit now",
         *(f"{estimator} / {other}" for estimator, other in RATIOS),
@@ -235,7 +235,7 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="write the results into docs/evidence/control.md")
     args = parser.parse_args()
     start = time.monotonic()
-    plants = list(TRIED)[:3] if args.quick or args.stiffness else list(TRIED)
+    plants = list(TRIED_PLANTS)[:3] if args.quick or args.stiffness else list(TRIED_PLANTS)
     counts = (1, 1, plants) if args.quick else (args.seeds, args.wrong_seeds, plants)
     result = measure(*counts, plan_of(args))
     result["wall_s"] = time.monotonic() - start

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 from trials import page, tracking
-from trials.hands import FINGERTIP_LOAD, SIDE
+from trials.hands import FINGERTIP_LOAD, SIDE_SUFFIX
 from trials.jobs import Plan, add_options, collect, plan_of
 from trials.laws import GRAVITY_LAWS
 from trials.lockstep import RATES_HZ, Trial, run
@@ -28,7 +28,7 @@ def work(job: tuple) -> dict[str, dict[str, float]]:
     """Run one trial and return its figures by speed. NaN for a motion that did not end."""
     hand, law, seed = job
     gains = GRAVITY_LAWS[law].gains(*tracking.tuned(hand, WEIGHTS_OF[law], careful=True), RATES_HZ[hand])
-    trial = Trial(hand + SIDE, tracking.moves(SPEEDS), seed, None, None, gains, change=GRAVITY_LAWS[law].change)
+    trial = Trial(hand + SIDE_SUFFIX, tracking.moves(SPEEDS), seed, None, None, gains, change=GRAVITY_LAWS[law].change)
     record = run(trial)
     if record.failure:
         return {speed: dict.fromkeys(FIGURES, float("nan")) for speed in SPEEDS}

@@ -69,8 +69,8 @@ def task() -> dict[str, Any]:
     return other
 
 
-def reached(stage: str, out: Any, first: int) -> bool:
-    """Return True if a run has reached a stage. ``first``: number of ticks in the free phase."""
+def is_at_stage(stage: str, out: Any, first: int) -> bool:
+    """Return True if a run has is_at_stage a stage. ``first``: number of ticks in the free phase."""
     tension = float(out.telemetry.tension.max())
     if stage == FREE:
         return bool(out.phase == "free" and first > 100)
@@ -79,7 +79,7 @@ def reached(stage: str, out: Any, first: int) -> bool:
     return bool(out.phase == "rise" and tension > (40.0 if stage == RISING else 0.95 * HOLD_N))
 
 
-def strike(simulation: Simulation, text: str) -> dict[str, Any]:
+def run_with_fault(simulation: Simulation, text: str) -> dict[str, Any]:
     """Inject a fault and run to the end. Return the detected rows, the delay [ms] and the largest true tension [N]."""
     simulation.peer.inject(text)
     start = simulation.k
@@ -118,7 +118,7 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
             for _ in range(round(15.0 * rate)):
                 out = simulation.tick()
                 first += out.phase == "free"
-                if reached(stage, out, first):
+                if is_at_stage(stage, out, first):
                     break
             else:
                 raise SystemExit(f"seed {seed}: no {stage}: {simulation.state.failure or out.phase}")
@@ -126,7 +126,7 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
                 if stage in stages and selected_fault in name:
                     reading, writing = os.pipe()
                     if os.fork() == 0:
-                        os.write(writing, json.dumps(strike(simulation, text.format(**words))).encode())
+                        os.write(writing, json.dumps(run_with_fault(simulation, text.format(**words))).encode())
                         os._exit(0)
                     os.close(writing)
                     with os.fdopen(reading) as pipe:

@@ -39,10 +39,10 @@ from handctl.tune.identify.identify import TendonResult, identify_tendons
 
 Row = dict[str, Any]
 
-OFF = 0.3
-ARMS_OFF = 0.1
-DETUNED = 3.0
-DRAWN = ("stiffness", "damping", "friction", "mass", "spring", "motor_inertia", "torque_constant")
+MAX_PARAMETER_ERROR = 0.3
+MAX_ARM_ERROR = 0.1
+MAX_GAIN_FACTOR = 3.0
+DRAWN_PARAMETERS = ("stiffness", "damping", "friction", "mass", "spring", "motor_inertia", "torque_constant")
 TOLERANCES = {
     "tendon_stiffness": 0.05, "spring_stiffness": 0.05, "motor_inertia": 0.05,
     "motor_coulomb": 0.15, "motor_viscous": 0.15, "capstan": 0.15, "torque_gain": 0.05,
@@ -54,25 +54,25 @@ DETUNABLE = ("motion.position_error_m", "motion.speed_error_m_s", "motion.force_
 
 
 def gains_for(hand: Hand, digit: str, seed: int) -> Gains:
-    """Return the gains with which a digit is moved: detuned with springs, packaged without."""
+    """Return the gains with which a digit is moved: detuned gains with springs, packaged gains without springs."""
     packaged = packaged_gains(hand.name)
-    return detuned(packaged, seed) if is_sprung(hand, digit) else packaged
+    return draw_gains(packaged, seed) if is_sprung(hand, digit) else packaged
 
 
-def plant(seed: int, sprung: bool = True) -> dict[str, float]:
-    """Draw factors on the parameters of a plant, without springs those of the moment arms, too."""
+def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
+    """Draw factors on the parameters of a plant, without springs also a factor on the moment arms."""
     chance = random.Random(f"plant {seed}")
-    factors = {key: chance.uniform(1.0 - OFF, 1.0 + OFF) for key in DRAWN}
-    return factors if sprung else factors | {"moment_arm": chance.uniform(1.0 - ARMS_OFF, 1.0 + ARMS_OFF)}
+    factors = {key: chance.uniform(1.0 - MAX_PARAMETER_ERROR, 1.0 + MAX_PARAMETER_ERROR) for key in DRAWN_PARAMETERS}
+    return factors if sprung else factors | {"moment_arm": chance.uniform(1.0 - MAX_ARM_ERROR, 1.0 + MAX_ARM_ERROR)}
 
 
-def detuned(packaged: Gains, seed: int) -> Gains:
+def draw_gains(packaged: Gains, seed: int) -> Gains:
     """Draw gains that are wrong by up to a factor of 3."""
     chance = random.Random(f"gains {seed}")
     values = {}
     for key in DETUNABLE:
         section, _, name = key.partition(".")
-        values[key] = getattr(getattr(packaged, section), name) * DETUNED ** chance.uniform(-1.0, 1.0)
+        values[key] = getattr(getattr(packaged, section), name) * MAX_GAIN_FACTOR ** chance.uniform(-1.0, 1.0)
     return with_values(packaged, values, "detuned")
 
 
@@ -93,12 +93,12 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
         values["torque_gain"] = factors["torque_constant"]
     else:
         values["pretension"] = known.pretension_N / unit
-    # Springs and moment arms are one question: what moves the tendon of a free digit.
+    # Without springs the moment arms are identified instead of the springs.
     name = "moment_arm" if "moment_arm" in factors else "spring_stiffness"
     return values | {name: factors["moment_arm" if "moment_arm" in factors else "spring"]}
 
 
-def excited(
+def excite_and_fit(
     hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
 ) -> tuple[dict[str, TendonResult], Row]:
     """Move one digit of a simulated hand and fit its parameters. Return the fit, and its cost or its failure.
@@ -134,14 +134,14 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
     """Move and fit one digit of one hand. Return error and coverage of every parameter, or the reason of a failure."""
     hand = load_hand(hand_name)
     sprung = is_sprung(hand, digit)
-    factors = plant(seed, sprung)
-    result, row = excited(hand_name, digit, seed, factors, gains_for(hand, digit, seed), folder)
+    factors = draw_plant(seed, sprung)
+    result, row = excite_and_fit(hand_name, digit, seed, factors, gains_for(hand, digit, seed), folder)
     if not result:
         return row
     row["refused"] = sorted({reason for one in result.values() for reason in (one.contact, one.blocked) if reason})
     shared = {name: one for tendon, one in result.items() for name in one.identifiability.names if name in DIGIT_KEYS}
     row["parameters"] = [
-        judged(name, tendon, real, shared.get(name, one))
+        compare_parameter(name, tendon, real, shared.get(name, one))
         for tendon, one in result.items()
         for name, real in truth(hand, tendon, factors).items()
         if name not in DIGIT_KEYS or one is shared.get(name, one)
@@ -149,7 +149,7 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
     return row
 
 
-def judged(name: str, tendon: str, real: float, result: TendonResult) -> Row:
+def compare_parameter(name: str, tendon: str, real: float, result: TendonResult) -> Row:
     """Compare one parameter with the truth. Widths and error are fractions of the true value."""
     identified = name in result.identifiability.names
     error = result.fit.values[name] / real - 1.0
@@ -194,7 +194,7 @@ def summary(rows: list[Row]) -> Row:
     return result
 
 
-def gathered(args: argparse.Namespace) -> list[Row]:
+def collect_rows(args: argparse.Namespace) -> list[Row]:
     """Return the rows of all requested seeds. Rows that are already in the file are not computed again."""
     rows = [json.loads(line) for line in args.into.read_text().splitlines()] if args.into and args.into.exists() else []
     done = {row["seed"] for row in rows}
@@ -224,7 +224,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="one random hand")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
-    rows = gathered(args)
+    rows = collect_rows(args)
     result = summary(rows)
     if args.json:
         json.dump(result | {"rows": rows}, sys.stdout, indent=2)
@@ -243,8 +243,8 @@ def main() -> int:
         )
     print(
         f"seeds with all within: {result['all_within']}, "
-        f"all covered by intervals of their own: {result['all_covered']}, "
-        f"by intervals for all at once: {result['all_covered_all_at_once']}"
+        f"all covered by the intervals of single parameters: {result['all_covered']}, "
+        f"by intervals for all parameters at once: {result['all_covered_all_at_once']}"
     )
     return 0
 

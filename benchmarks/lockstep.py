@@ -57,10 +57,10 @@ SCENES = {"free": Free, "contact": Grasp}
 def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
     """Measure one hand in one scene."""
     made = SCENES[scene]
-    rollout = written_down(Stack(hand, rate_hz, made), seconds)
-    bare = shortest(repeated(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES))
-    whole = shortest(Stack(hand, rate_hz, made).run(seconds) for _ in range(PASSES))
-    peer = shortest(Stack(hand, rate_hz, made).behind_the_wire(seconds) for _ in range(PASSES // 2))
+    rollout = record_rollout(Stack(hand, rate_hz, made), seconds)
+    bare = sum_of_shortest(repeat_rollout(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES))
+    whole = sum_of_shortest(Stack(hand, rate_hz, made).run(seconds) for _ in range(PASSES))
+    peer = sum_of_shortest(Stack(hand, rate_hz, made).behind_the_wire(seconds) for _ in range(PASSES // 2))
     ticks = round(seconds * rate_hz)
     return {
         "rate_hz": rate_hz,
@@ -76,12 +76,12 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
     }
 
 
-def shortest(runs: Iterable[list[float]]) -> float:
-    """Return the sum of the shortest time of each piece among the runs [s]."""
+def sum_of_shortest(runs: Iterable[list[float]]) -> float:
+    """Return the sum over all ticks or steps of the shortest time among the runs [s]."""
     return sum(map(min, zip(*runs, strict=True)))
 
 
-def written_down(stack: Stack, seconds: float) -> Rollout:
+def record_rollout(stack: Stack, seconds: float) -> Rollout:
     """Run the stack and record the forces on the bodies."""
     engine = stack.engine
     plant = stack.peer.world.plant
@@ -102,7 +102,7 @@ def written_down(stack: Stack, seconds: float) -> Rollout:
     return Rollout(torque, damping, table, engine.q.copy(), float(np.mean(contacts)))
 
 
-def repeated(stack: Stack, rollout: Rollout) -> list[float]:
+def repeat_rollout(stack: Stack, rollout: Rollout) -> list[float]:
     """Repeat the motion with MuJoCo alone. Return the CPU time of each step [s].
 
     Raises:
@@ -123,7 +123,7 @@ def repeated(stack: Stack, rollout: Rollout) -> list[float]:
         step()
         took.append(now() - before)
     if not np.array_equal(engine.q, rollout.end):
-        raise RuntimeError("the bare rollout went another way than the run that it repeats")
+        raise RuntimeError("the repeated motion differs from the recorded motion")
     return took
 
 

@@ -1,8 +1,8 @@
 """Random streams of angles to all digits of each packaged hand, in lockstep: how many runs end with a fault.
 
-``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. A policy
-that has gone wild sends a target for every digit 50 times a second, anywhere in the range of the
-joints. The digits run into each other and into the palm. Three kinds of targets: *noise* is a new
+``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. An untrained
+policy sends a random target for every digit 50 times a second, anywhere in the range of the joints.
+The digits run into each other and into the palm. There are three kinds of targets: *noise* is a new
 random angle each time, *steps* holds a random angle for 0.1 to 0.6 s, *walk* adds random steps.
 """
 
@@ -21,7 +21,7 @@ from handctl.hand.load import packaged_hands
 
 Array = NDArray[np.float64]
 ANY_SPEED_DEG_S = 1e6
-"""Rate of targets that leaves all limits to the controller [deg/s]."""
+"""Largest rate of change of the targets [deg/s]. It is so large that only the controller limits the rate."""
 WALK_STEP = 0.125
 """Standard deviation of a step of the random walk, as a fraction of the range."""
 

@@ -141,7 +141,7 @@ def _best(base: Gains, result: SearchResult) -> Gains:
 
 
 def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
-    """Score a job on the true plant, with noise that no search has used. The margins do not matter."""
+    """Score gains on the true plant, with noise that no search has used, also without sufficient margins."""
     table = {"gains": gains.model_dump(by_alias=True), "seed": JUDGE_SEED, "must_keep_margins": False}
     return plan.job(0, {}) | table
 
@@ -163,7 +163,7 @@ def _print(result: dict[str, Any]) -> None:
         )
     print(f"cost of not knowing the plant: {result['cost_of_not_knowing']:.3f}; search: {result['search_s']:.0f} s")
     if result["cost_with_identification"]:
-        print(f"cost with what was identified: {result['cost_with_identification']:.3f}")
+        print(f"cost with the identified parameters: {result['cost_with_identification']:.3f}")
 
 
 if __name__ == "__main__":

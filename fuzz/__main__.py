@@ -16,7 +16,7 @@ NAMES = (*DRIVES, "sensor-node", "hand", "hand-text", "task", "trajectory", "gai
 LONGEST = {**dict.fromkeys(DRIVES, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
            "task": 128, "trajectory": 128, "gains": 128, "calibration": 128, "hand-text": 1 << 14, "log": 4096,
            "log-bytes": 1 << 16}  # fmt: skip
-"""Longest input [bytes]. It has room for every initial input of the corpus."""
+"""Longest input of each target [bytes], at least the longest initial input of the corpus."""
 
 
 def arguments() -> argparse.Namespace:
@@ -35,7 +35,7 @@ def arguments() -> argparse.Namespace:
 
 
 def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
-    """Fuzz a target. Return a line about it, and False if it failed."""
+    """Fuzz a target. Return a line about the target, and False if the target failed."""
     corpus = OUTPUT_FOLDER / "corpus" / name
     crashes = OUTPUT_FOLDER / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
@@ -55,9 +55,9 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
     number = int(count[1])
     took = max(1, int(count[2]))
     if blind and not int(count[3]):
-        return f"{name:13} FAILED  of {number:,} inputs none was taken: nothing was tried but the first refusal", False
+        return f"{name:13} FAILED  none of {number:,} inputs was accepted: only the first check was tested", False
     edges = f"edges {covered[-1][0]:>6}" if covered else "no edges"
-    seen = f"blind, {100 * int(count[3]) / number:.1f} % taken" if blind else edges
+    seen = f"blind, {100 * int(count[3]) / number:.1f} % accepted" if blind else edges
     return f"{name:13} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {seen}", True
 
 

@@ -1,6 +1,7 @@
 """Fuzzing of one target without coverage: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
 
-The corpus of coverage-guided fuzzing is changed at random. This is a few times faster, for large counts.
+The inputs are random changes of the corpus of coverage-guided fuzzing. Blind fuzzing is a few times faster,
+which permits larger numbers of inputs.
 """
 
 import random
@@ -12,13 +13,13 @@ from pathlib import Path
 
 from fuzz.targets import TARGETS, seeds
 
-NEWS_S = 30.0
-AT_ONCE = 256
+REPORT_PERIOD_S = 30.0
+INPUTS_PER_CLOCK_READ = 256
 """Inputs between two readings of the clock."""
 
 
-def changed(chance: random.Random, corpus: list[bytes], longest: int) -> Iterator[bytes]:
-    """Yield inputs: one of the corpus with bytes changed, removed, inserted, or with the end of another one."""
+def changed_inputs(chance: random.Random, corpus: list[bytes], longest: int) -> Iterator[bytes]:
+    """Yield inputs: an input of the corpus with bytes changed, removed, inserted, or with the end of another input."""
     pick = chance.choice
     bits = chance.getrandbits
     while True:
@@ -57,13 +58,13 @@ def fuzz(
     data = b""
     try:
         while runs < 0 or number < runs:
-            for data, _ in zip(inputs, range(AT_ONCE), strict=False):
+            for data, _ in zip(inputs, range(INPUTS_PER_CLOCK_READ), strict=False):
                 taken += target(data)
-            number += AT_ONCE
+            number += INPUTS_PER_CLOCK_READ
             now = time.monotonic()
             if 0 < seconds <= now - start:
                 break
-            if now - reported > NEWS_S:
+            if now - reported > REPORT_PERIOD_S:
                 reported = now
                 print(f"{number} runs, {number / (now - start):.0f}/s", file=sys.stderr, flush=True)
     except BaseException:
@@ -80,7 +81,7 @@ def main() -> None:
     corpus_inputs = [path.read_bytes()[: int(longest)] for path in sorted(Path(corpus).iterdir())]
     corpus_inputs += [seed[: int(longest)] for seed in seeds(name, folder)] or [bytes(8)]
     start = time.monotonic()
-    inputs = changed(random.Random(time.time_ns()), corpus_inputs, int(longest))
+    inputs = changed_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
     number, taken = fuzz(TARGETS[name](folder), inputs, Path(crashes), float(seconds), int(runs))
     took = round(time.monotonic() - start)
     print(f"Done {number} runs in {took} second(s), {taken} taken, from {len(corpus_inputs)} kept", file=sys.stderr)

@@ -10,8 +10,8 @@ class Fuzzed(NamedTuple):
 
     Attributes:
         protocol: name of the protocol.
-        options: more of them, as lines of a hand file.
-        without: options that this drive does not have, by how their names begin.
+        options: additional options, as lines of a hand file.
+        without: beginning of the names of options that this drive does not have.
     """
 
     protocol: str

@@ -33,7 +33,7 @@ Content = Mapping[str, Any]
 TASKS = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
-def used(hand: Hand) -> None:
+def construct_all(hand: Hand) -> None:
     """Construct everything that a run constructs from a hand before it opens a bus."""
     for name in hand.digit_names:
         DigitModel.of(hand, name)
@@ -51,59 +51,59 @@ def hand(folder: Path) -> Target:
         source = Source(data)
         i = source.number(len(contents))
         content = mutated(contents[i], paths[i], source)
-        return _taken(lambda: used(hand_from_content(content, "fuzzed")))
+        return _is_accepted(lambda: construct_all(hand_from_content(content, "fuzzed")))
 
     return target
 
 
 def hand_text(folder: Path) -> Target:
     """Return the target for a hand file of any bytes."""
-    return _text(folder / "hand.toml", lambda path: used(load_hand(str(path))))
+    return _text(folder / "hand.toml", lambda path: construct_all(load_hand(str(path))))
 
 
-def one_line(error: Exception) -> None:
+def check_one_line(error: Exception) -> None:
     """Check that an error has a text of one line."""
-    assert str(error), "an error without words"
+    assert str(error), "an error without text"
     assert "\n" not in str(error), str(error)
 
 
 def _text(path: Path, load: Callable[[Path], object]) -> Target:
     def target(data: bytes) -> bool:
         path.write_bytes(data)
-        return _taken(lambda: load(path))
+        return _is_accepted(lambda: load(path))
 
     return target
 
 
-def _taken(load: Callable[[], object]) -> bool:
+def _is_accepted(load: Callable[[], object]) -> bool:
     """Return True if the input is accepted. Check that a refusal is one line."""
     try:
         load()
     except HandctlError as error:
-        one_line(error)
+        check_one_line(error)
         return False
     return True
 
 
-AS_TEXT = 32
-"""One document in this many goes through its text. The others are changed after parsing, since Python parses TOML."""
+DOCUMENTS_PER_TEXT = 32
+"""One of this many documents is parsed from text. The others are changed after parsing, because parsing is slow."""
 
 
 def _document(path: Path, contents: list[Content], use: Callable[[Content], object]) -> Target:
-    """Return the target for a document: any bytes, or a valid one with up to four changes, in memory or as text."""
+    """Return the target for a document: any bytes, or a valid document with up to four changes, parsed or as text."""
     paths = [list(paths_of_values(content)) for content in contents]
     noise = _text(path, lambda file: use(read_toml(file)))
 
     def target(data: bytes) -> bool:
         source = Source(data)
-        kind = source.number(AS_TEXT)
+        kind = source.number(DOCUMENTS_PER_TEXT)
         if kind == 1:
             return noise(data[source.at :])
         i = source.number(len(contents))
         content = mutated(contents[i], paths[i], source)
         if kind == 2:
             return noise(toml_text(content).encode("utf-8", "surrogatepass"))
-        return _taken(lambda: use(content))
+        return _is_accepted(lambda: use(content))
 
     return target
 

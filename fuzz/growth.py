@@ -1,7 +1,8 @@
 """Memory growth of controller and recorder over hours of simulated time, in lockstep.
 
-``python -m fuzz.growth --hours 1``. ``fuzz.soak --calm`` does the same in real time. Here the load of the
-machine does not matter: loop, controller and recorder are the same, clock and bus are not.
+``python -m fuzz.growth --hours 1``. ``fuzz.soak --calm`` measures the growth in real time. This module has
+the same loop, controller and recorder, but another clock and bus. Therefore its result does not depend on
+the load of the machine.
 """
 
 import argparse
@@ -28,7 +29,7 @@ WARM_S = 600.0
 """Time until the ring of lateness is full, which takes 2 MiB [s]."""
 
 
-class Looks:
+class MemorySampler:
     """Observer of a run that samples the memory of this process and its children."""
 
     def __init__(self, until_s: float) -> None:
@@ -62,7 +63,7 @@ def main() -> int:
         task = Path(folder) / "long.toml"
         task.write_text(TASK)
         program = TaskProgram(load_task(task))
-        looks = Looks(args.hours * 3600)
+        looks = MemorySampler(args.hours * 3600)
         controller = make_controller(hand, plan.gains, 500.0, program, None, arm_at_once=True)
         outcome = run_lockstep(plan, controller, Path(folder) / "long.mcap", clock, looks)
     grows = slope(looks.samples, WARM_S)

@@ -24,13 +24,23 @@ from tests.log import synthetic
 Target = Callable[[bytes], bool]
 EDITS = 4
 TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
-"""Topics that a reader decodes, and one that it skips."""
-NAMED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
-"""Records behind the chunks that exist per topic."""
+"""Topics that a reader decodes, and /rosout, which a reader skips."""
+PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
+"""Kinds of records behind the chunks that exist once per topic."""
 MAGIC = b"\x89MCAP0\r\n"
-NEAR = 48
-"""Length of the numeric front of a record [bytes]. Half of the changes are there."""
-ODD = (b"\0", b"\xff", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0" * 8, b"\x7f", b"\x80", b"[", b"\0\0\0\x01")
+NUMERIC_START_BYTES = 48
+"""Length of the numeric fields at the start of a record [bytes]. Half of the changes are in this part."""
+UNUSUAL_BYTES = (
+    b"\0",
+    b"\xff",
+    b"\xff\xff\xff\xff",
+    b"\xff\xff\xff\x7f",
+    b"\0" * 8,
+    b"\x7f",
+    b"\x80",
+    b"[",
+    b"\0\0\0\x01",
+)
 
 
 def read_all(path: Path) -> None:
@@ -52,7 +62,7 @@ def _read(path: Path) -> bool:
     try:
         read_all(path)
     except LogError as error:
-        files.one_line(error)
+        files.check_one_line(error)
         return False
     return True
 
@@ -60,7 +70,7 @@ def _read(path: Path) -> bool:
 def log(folder: Path) -> Target:
     """Return the target for records of a log: mostly valid length, changed content, inside and outside of chunks."""
     parts = _parts(small(folder))
-    joined = [_joined(i, part) for i, part in enumerate(parts)]
+    joined = [_join_records(i, part) for i, part in enumerate(parts)]
     path = folder / "log.mcap"
 
     def target(data: bytes) -> bool:
@@ -72,8 +82,10 @@ def log(folder: Path) -> Target:
             i = source.number(len(parts))
             records = changed.setdefault(i, parts[i].copy())
             at = source.number(len(records))
-            records[at] = _edited(records[at], source)
-        path.write_bytes(b"".join([_joined(i, changed[i]) if i in changed else joined[i] for i in range(len(parts))]))
+            records[at] = _changed_record(records[at], source)
+        path.write_bytes(
+            b"".join([_join_records(i, changed[i]) if i in changed else joined[i] for i in range(len(parts))])
+        )
         return _read(path)
 
     return target
@@ -89,11 +101,11 @@ def _parts(path: Path) -> list[list[bytes]]:
     file.close()
     channels = schemas_and_channels(contents[0]).channels
     schemas = {number: schema for number, schema, topic, _, _ in channels if topic in TOPICS}
-    chunks = [[record for record in _records(content) if _matters(record, schemas)] for content in contents]
+    chunks = [[record for record in _records(content) if _is_of_channels(record, schemas)] for content in contents]
     head = list(_records(raw[8 : result.chunks[0].offset]))
     tail = list(_records(raw[result.chunks[-1].end : -8]))
-    named = [record for record in tail if record[0] not in NAMED or _matters(record, schemas)]
-    return [[_unchecked(record) for record in head], *chunks, [_unchecked(record) for record in named]]
+    named = [record for record in tail if record[0] not in PER_TOPIC_RECORDS or _is_of_channels(record, schemas)]
+    return [[_without_checksum(record) for record in head], *chunks, [_without_checksum(record) for record in named]]
 
 
 def _records(data: bytes) -> Iterator[bytes]:
@@ -104,7 +116,7 @@ def _records(data: bytes) -> Iterator[bytes]:
         at = end
 
 
-def _matters(record: bytes, kept: dict[int, int]) -> bool:
+def _is_of_channels(record: bytes, kept: dict[int, int]) -> bool:
     """Return True if a record belongs to one of these channels, given with their schemas."""
     (number,) = struct.unpack_from("<H", record, 9)
     return number in (kept.values() if record[0] == Opcode.SCHEMA else kept)
@@ -114,11 +126,11 @@ CHECKED = (Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
 """Records that end with a checksum. Zero means no checksum."""
 
 
-def _unchecked(record: bytes) -> bytes:
+def _without_checksum(record: bytes) -> bytes:
     return record[:-4] + bytes(4) if record[0] in CHECKED else record
 
 
-def _joined(i: int, records: list[bytes]) -> bytes:
+def _join_records(i: int, records: list[bytes]) -> bytes:
     """Join the records of a part as in the file: head with magic, uncompressed chunk, or end with magic."""
     content = b"".join(records)
     if i == 0:
@@ -126,14 +138,14 @@ def _joined(i: int, records: list[bytes]) -> bytes:
     return content + MAGIC if records[-1][:1] == bytes([Opcode.FOOTER]) else _chunk(content)
 
 
-def _edited(record: bytes, source: Source) -> bytes:
+def _changed_record(record: bytes, source: Source) -> bytes:
     """Return a record with changed content. One in eight has a wrong length."""
     body = bytearray(record[9:])
     kind = source.number(8)
     if kind == 0:
         body = bytearray(record)
-    at = source.number(1 << 16) % max(1, len(body) if source.number(2) else min(len(body), NEAR))
-    new = ODD[source.number(len(ODD))] if source.number(2) else source.take(1 + source.number(8))
+    at = source.number(1 << 16) % max(1, len(body) if source.number(2) else min(len(body), NUMERIC_START_BYTES))
+    new = UNUSUAL_BYTES[source.number(len(UNUSUAL_BYTES))] if source.number(2) else source.take(1 + source.number(8))
     end = at if kind == 1 else at + source.number(64) if kind == 2 else at + len(new)
     body[at:end] = b"" if kind == 2 else new
     return bytes(body) if kind == 0 else struct.pack("<BQ", record[0], len(body)) + body

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-ODD = (
+UNUSUAL_VALUES = (
     float("nan"), float("inf"), -0.0, 0, -1, 1, True, "", "x\ny", [], {}, [[]], [{}], 2**70, 1e308, -1e-320, 1e9,
     {"name": 3}, [1, 2, 3, 4], "main", "mit", "index", 10**400,
 )  # fmt: skip
@@ -54,14 +54,14 @@ def value(source: Source, old: Any) -> Any:
         return old * (1000.0, 0.001, -1.0, 1.0001, 2.0)[source.number(5)]
     if kind == 3:
         return int.from_bytes(source.take(3), "little", signed=True)
-    return ODD[source.number(len(ODD))]
+    return UNUSUAL_VALUES[source.number(len(UNUSUAL_VALUES))]
 
 
 def mutated(content: Mapping[str, Any], paths: list[Path], source: Source, max_changes: int = 4) -> dict[str, Any]:
     """Return a copy with some values changed, removed, renamed or repeated.
 
     Args:
-        content: parsed TOML file. It stays unchanged.
+        content: parsed TOML file, which stays unchanged.
         paths: ``paths_of_values`` of the content.
         source: bytes that select the changes.
         max_changes: largest number of changes.
@@ -78,7 +78,7 @@ def mutated(content: Mapping[str, Any], paths: list[Path], source: Source, max_c
 
 
 def _copied_node(root: dict[str, Any], path: Path) -> Any:
-    """Return the node of a path after copying all nodes above it. None if it no longer exists."""
+    """Return the node of a path after copying all nodes above it. Return None if the node no longer exists."""
     node: Any = root
     for key in path:
         try:

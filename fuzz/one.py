@@ -10,8 +10,8 @@ import atheris
 ROOT = Path(__file__).parents[1]
 
 
-def laws() -> list[str]:
-    """List the modules that numba compiles. It cannot compile instrumented code."""
+def compiled_modules() -> list[str]:
+    """List the modules that numba compiles, because numba cannot compile instrumented code."""
     paths = [path for path in (ROOT / "firmware_sim").rglob("*.py") if "\n@compiled(" in path.read_text()]
     return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
 
@@ -19,7 +19,7 @@ def laws() -> list[str]:
 def main() -> None:
     """Fuzz. A crash saves its input and ends the process with an exit code other than 0."""
     name, corpus, *options = sys.argv[1:]
-    with atheris.instrument_imports(include=["handctl", "firmware_sim"], exclude=laws()):
+    with atheris.instrument_imports(include=["handctl", "firmware_sim"], exclude=compiled_modules()):
         from fuzz.targets import TARGETS, seeds
     shared = Path("/dev/shm")
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))
@@ -28,10 +28,10 @@ def main() -> None:
     target = TARGETS[name](folder)
     verdicts = Counter[bool]()
 
-    def counted(data: bytes) -> None:
+    def count_verdict(data: bytes) -> None:
         verdicts[target(data)] += 1
 
-    atheris.Setup([sys.argv[0], *options, corpus], counted)
+    atheris.Setup([sys.argv[0], *options, corpus], count_verdict)
     atheris.Fuzz()
 
 

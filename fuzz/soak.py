@@ -33,10 +33,10 @@ WARM_S = 300.0
 """Warm-up in which a process still allocates its working memory [s]."""
 WINDOW_S = 300.0
 """Length of a window for the peak of the memory [s]."""
-LONG_ENOUGH_S = 1800.0
+MIN_SLOPE_TIME_S = 1800.0
 """Shortest time for a slope per hour [s]."""
-ENDS = (0, 1, 71)
-"""Accepted exit codes of a run: done, ended by a named fault, ended by a fault that hides the drives' replies."""
+ACCEPTED_EXITS = (0, 1, 71)
+"""Accepted exit codes of a run: done, ended by a named fault, and ended without confirmation by every drive."""
 TASK = LONG.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 
@@ -66,7 +66,7 @@ def slope(samples: list[Sample], warm_s: float = WARM_S) -> float | None:
     no growth.
     """
     warm = [one for one in samples if one.t - samples[0].t >= warm_s]
-    if not warm or warm[-1].t - warm[0].t < LONG_ENOUGH_S:
+    if not warm or warm[-1].t - warm[0].t < MIN_SLOPE_TIME_S:
         return None
     whole = (warm[-1].t - warm[0].t) // WINDOW_S
     windows = groupby(warm, lambda one: (one.t - warm[0].t) // WINDOW_S)
@@ -130,7 +130,7 @@ class Soak:
         path = Path(f"{self.number}.mcap")
         self.controller = None
         self.counts[f"exit {code}"] += 1
-        if code not in ENDS or "Traceback" in err:
+        if code not in ACCEPTED_EXITS or "Traceback" in err:
             self.wrong.append(f"run {self.number}: exit code {code}: {err[-300:]}")
         if path.exists():
             with RunLog(path) as log:

@@ -7,13 +7,13 @@ from pathlib import Path
 
 REASONS = Path("docs/evidence/mutation.md")
 SURVIVED, UNTESTED, NOT_RUN = (0,), (5, 33), (None, 2, 34)
-"""Exit codes in the records of mutmut: no test failed, no selected test calls the function, not run to the end."""
+"""Exit codes in the records of mutmut: no test failed, no selected test calls the function, and not run to the end."""
 
 
 def main() -> int:
     """Print the table. Returns 1 if a survivor has no reason, or if no mutant was judged."""
     reasons = REASONS.read_text() if REASONS.exists() else ""
-    open_ones = list[str]()
+    unexplained = list[str]()
     all_judged = 0
     for path in sorted(Path("mutants/src").rglob("*.meta")):
         codes: dict[str, int | None] = json.loads(path.read_text())["exit_code_by_key"]
@@ -27,12 +27,12 @@ def main() -> int:
         name = str(path.relative_to("mutants/src/handctl")).removesuffix(".py.meta")
         left = f"{survived:4} survived {untested:4} untested {not_run:4} not run"
         print(f"{name:32} {killed:4} of {judged:4} killed {100 * killed / judged:5.1f} %  {left}")
-        open_ones += [key for key, code in codes.items() if code in SURVIVED + UNTESTED and f"`{key}`" not in reasons]
-    for key in open_ones:
+        unexplained += [key for key, code in codes.items() if code in SURVIVED + UNTESTED and f"`{key}`" not in reasons]
+    for key in unexplained:
         print(f"no reason: {key}   (mutmut show {key})")
     if not all_judged:
         print("no mutant was judged")
-    return 1 if open_ones or not all_judged else 0
+    return 1 if unexplained or not all_judged else 0
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from pathlib import Path
 from firmware_sim.description import SimulatorError
 from firmware_sim.description import load_hand as load_simulated
 from firmware_sim.faults.text import KINDS, parse_fault
-from fuzz.files import one_line
+from fuzz.files import check_one_line
 from fuzz.mutate import Source
 from handctl.programs.requests import parse_request
 
@@ -45,7 +45,7 @@ def fault(folder: Path) -> Target:
         try:
             parse_fault(text, hand)
         except SimulatorError as error:
-            one_line(error)
+            check_one_line(error)
             return False
         return True
 

@@ -18,13 +18,13 @@ from tests.drives.protocol_bench import Bench, hand_file
 from tests.drives.wired import Wired
 
 Target = Callable[[bytes], bool]
-STEP_NS, LONG_NS = 2_000_000, 1_000_000_000
-"""Time between frames, and a silence too long for every drive [ns]."""
+STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
+"""Time between frames, and a silence after which every drive counts as lost [ns]."""
 SILENCE = 240
 """Third byte from which a silence precedes the frame."""
 MARKS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
 MAX_FRAMES = 5
-WANTS = tuple(DriveTarget)
+DRIVE_TARGETS = tuple(DriveTarget)
 CLEAR = 0x40
 """Bit of the third byte that clears an error."""
 LONGEST = 64
@@ -41,12 +41,12 @@ def frames(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame,
         can_id = ours[pick % len(ours)] if pick < 240 else (pick << 3 ^ more) & 0x7FF
         size = 8 if shape & 3 else more % (LONGEST + 1)
         payload = data[at + 3 : at + 3 + size]
-        t_ns += LONG_NS if more >= SILENCE else STEP_NS
+        t_ns += LONG_SILENCE_NS if more >= SILENCE else STEP_NS
         yield Frame(can_id | MARKS[shape >> 5], payload, FDF | BRS if size > 8 else 0, 0, t_ns), more
         at += 3 + size
 
 
-class Seen(NamedTuple):
+class RecordedState(NamedTuple):
     """State of a drive before a tick, time of the tick [ns], and the frames received in it."""
 
     state: DriveState
@@ -54,7 +54,7 @@ class Seen(NamedTuple):
     received: tuple[Frame, ...]
 
 
-def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
+def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
     """Return a drive of ``DRIVES``, and its states from silence to torque."""
     fuzzed = DRIVES[name]
     path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
@@ -62,14 +62,14 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
     path.write_text("".join(line for line in lines if not line.startswith(fuzzed.without)))
     bench = Bench(path)
     motor = bench.drives[0]
-    seen = list[Seen]()
+    seen = list[RecordedState]()
     while bench.states[0].phase != Phase.ENABLED:
         received = tuple(frame for frame in bench.incoming if frame.can_id in motor.node_ids)
         if received or not seen:
-            seen.append(Seen(bench.states[0], bench.k * bench.period_ns, received))
+            seen.append(RecordedState(bench.states[0], bench.k * bench.period_ns, received))
         ready = all(state.phase >= Phase.READY for state in bench.states)
         bench.tick(DriveTarget.ENABLE if ready else DriveTarget.POLL)
-    seen.append(Seen(bench.states[0], bench.k * bench.period_ns, ()))
+    seen.append(RecordedState(bench.states[0], bench.k * bench.period_ns, ()))
     bench.rig.close()
     return motor, seen
 
@@ -85,7 +85,7 @@ def answers(name: str, folder: Path) -> list[bytes]:
     return [data for data in inputs if len(data) > 1]
 
 
-def identifiers(motor: Drive, seen: Sequence[Seen]) -> list[int]:
+def identifiers(motor: Drive, seen: Sequence[RecordedState]) -> list[int]:
     """Return the identifiers that a byte of an input selects: those of received frames first, at most 256."""
     received = {frame.can_id for one in seen for frame in one.received}
     return [*sorted(received), *sorted(motor.node_ids - received)][:256]
@@ -102,12 +102,12 @@ def drive(name: str) -> Callable[[Path], Target]:
     def make(folder: Path) -> Target:
         motor, seen = path_to_torque(name, folder)
         ours = identifiers(motor, seen)
-        return lambda data: _walked(motor, seen[data[0] % len(seen)] if data else seen[0], ours, data)
+        return lambda data: _feed_drive(motor, seen[data[0] % len(seen)] if data else seen[0], ours, data)
 
     return make
 
 
-def _walked(motor: Drive, begin: Seen, ours: Sequence[int], data: bytes) -> bool:
+def _feed_drive(motor: Drive, begin: RecordedState, ours: Sequence[int], data: bytes) -> bool:
     """Feed frames to a drive and request a phase after each. Returns True if a frame changed the state."""
     state = begin.state
     taken = False
@@ -126,7 +126,7 @@ def _advance(motor: Drive, state: DriveState, t_ns: int, more: int) -> tuple[Dri
         motor.cause(state.error)
         if more & CLEAR:
             return motor.clear(state)
-    target = WANTS[more % len(WANTS)]
+    target = DRIVE_TARGETS[more % len(DRIVE_TARGETS)]
     return motor.advance(state, t_ns, target, 0.1 if target == DriveTarget.ENABLE else 0.0)
 
 
@@ -136,10 +136,10 @@ def sensors(folder: Path) -> Target:
     bench.rig.close()
     wired = Wired((), bench.node)
     ours = sorted(bench.node.node_ids)
-    return lambda data: _sensed(wired, wired.block.copy(), ours, data)
+    return lambda data: _feed_sensor_node(wired, wired.block.copy(), ours, data)
 
 
-def _sensed(wired: Wired, begin: Block, ours: Sequence[int], data: bytes) -> bool:
+def _feed_sensor_node(wired: Wired, begin: Block, ours: Sequence[int], data: bytes) -> bool:
     """Feed frames to the sensor node from the state ``begin``. Returns True if a frame changed the state."""
     wired.block[:] = begin
     taken = 0

@@ -1,9 +1,9 @@
-"""Count dialect in names, docstrings and documents, and compare the counts with limits that only ever fall.
+"""Count dialect in names, docstrings and documents, and compare the counts with limits that may only be lowered.
 
 ``python tools/language.py`` is a part of ``make lint``. It prints a line for each count above its limit and exits 1.
 ``--table`` prints all counts. ``--places COUNT FOLDER`` prints where a count comes from. ``--tighten`` lowers the
-limits in ``language_limits.toml`` to the current counts. No option raises a limit. A word list is only a thermometer:
-the reader decides whether a sentence is plain.
+limits in ``language_limits.toml`` to the current counts. No option raises a limit. A word list is only an indicator,
+because only a reader can judge whether a sentence is plain.
 """
 
 import argparse
@@ -41,13 +41,13 @@ PER = {
 LONG = 100
 """Characters above which a line counts as long."""
 ROUNDING = 2
-"""Limits are multiples of one half, so that a sentence more does not fail."""
+"""Limits are multiples of 1 / ROUNDING, so that a single sentence does not exceed a limit."""
 
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _PROSE = {name: re.compile(pattern, re.IGNORECASE) for name, pattern in TERMS["prose"].items()}
 _VERBS = set(TERMS["verbs"]["words"].split())
 _CODE = re.compile(r"^```.*?^```|`[^`\n]*`|^\|.*?$|\*\*[^*\n]+:\*\*", re.MULTILINE | re.DOTALL)
-"""Parts of a document that are no prose: blocks of code, quoted code, rows of tables, labels in bold."""
+"""Parts of a document that are not prose: blocks of code, quoted code, rows of tables, labels in bold."""
 
 
 @dataclass
@@ -129,7 +129,7 @@ def _is_parallel(node: ast.AST) -> bool:
 
 
 def _count_docstring(tally: Tally, node: ast.AST, place: str) -> None:
-    """Count the docstring of a module, class or function. Only a function's must begin with a verb."""
+    """Count the docstring of a module, class or function. Only the docstring of a function must begin with a verb."""
     if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
         return
     text = ast.get_docstring(node) or ""
@@ -152,7 +152,7 @@ def _attribute_docs(tree: ast.Module) -> Iterator[str]:
 
 
 def comments(text: str) -> int:
-    """Return the number of comments for a reader; directives to tools do not count."""
+    """Return the number of comments for a reader. Directives to tools are not counted."""
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     return sum(token.type == tokenize.COMMENT and not re.search("noqa|type:|fmt:", token.string) for token in tokens)
 
@@ -197,7 +197,7 @@ Limits = dict[str, dict[str, float]]
 
 
 def excesses(tallies: dict[str, Tally], limits: Limits) -> Iterator[str]:
-    """Yield a line for each count above its limit. A folder without limits must have none."""
+    """Yield a line for each count above its limit. The limits of a folder without limits are zero."""
     for name, tally in tallies.items():
         for count, ratio in ratios(tally).items():
             limit = limits.get(name, {}).get(count, 0.0)

@@ -8,11 +8,11 @@ BOOST = {
 }  # fmt: skip
 """Factor of a page's score in the search."""
 EXCLUDED = ("evidence/lookups.md",)
-"""Pages that quote the words of other pages, and answer none of them."""
+"""Pages that the search leaves out, because they quote questions without answering them."""
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Set the rank of a page, as its front matter would. GitHub shows front matter, and no hook."""
+    """Set the rank of a page. Front matter in the page could do the same, but GitHub would show it."""
     path = page.file.src_uri
     if path in BOOST:
         page.meta.setdefault("search", {"boost": BOOST[path]})

@@ -17,7 +17,7 @@ from exchange.ways import feedback
 
 
 class Damiao:
-    """damiao-motor. Its polling thread is stopped and polled here."""
+    """damiao-motor. Its polling thread is stopped, and `receive` polls instead."""
 
     answer = staticmethod(feedback)
 
@@ -51,7 +51,7 @@ class Odrive:
         from odrive_can import odrive
 
         if motors > self.AXES:
-            raise ValueError(f"its DBC knows {self.AXES} axes")
+            raise ValueError(f"the DBC of odrive-can has {self.AXES} axes")
         self.bus = can.Bus(channel, interface=interface, ignore_config=True)
         self.read = odrive.CanMsg
         self.drives = [odrive.ODriveCAN(axis_id=i, can_bus=self.bus) for i in range(motors)]
@@ -69,7 +69,7 @@ class Odrive:
 
     def close(self):
         for drive in self.drives:
-            del drive._bus  # The object would shut down the bus.
+            del drive._bus  # Otherwise the object would shut down the bus.
         self.bus.shutdown()
 
 

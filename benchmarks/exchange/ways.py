@@ -150,7 +150,7 @@ class Cantools(Scalar):
         return self.feedback.decode(bytes(data))
 
 
-WAYS = {
+ALTERNATIVES = {
     "handctl": Ours,
     "python-can, scalar codec": Scalar,
     "python-can, cantools": Cantools,

@@ -38,8 +38,7 @@ def task_of(phases: list[dict[str, Any]]) -> TaskProgram:
 def find_contacts(job: tuple[str, int]) -> list[float]:
     """Measure for a hand and a seed the time from 1 N on a digit to its contact event, one per digit [s].
 
-    Times count from the instant at which the force reaches 1 N. A time is negative before this
-    instant, and inf without an event.
+    A time is negative if the event comes before the force reaches 1 N, and inf without an event.
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")
@@ -69,7 +68,10 @@ def _latencies(run: Run, digits: tuple[str, ...]) -> list[float]:
 
 
 def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
-    """Measure for a hand, a time [s] and a seed the simulated minutes of free closing, and false contacts in them."""
+    """Measure false contacts in free motion, for a hand, a time [s] and a seed.
+
+    The result also has the simulated minutes in which the digits moved.
+    """
     hand, seconds, seed = job
     chance = random.Random(f"free {seed}")
     phases: list[dict[str, Any]] = []
@@ -90,7 +92,7 @@ def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
         ]
         planned += 0.8 + 35.0 / speed * 1.875
     run = simulate(hand, task_of(phases), None, seed=seed, until="end", timeout=seconds)
-    assert run.force.max() < TOUCHED_N, "the digits met each other"
+    assert run.force.max() < TOUCHED_N, "the digits touched each other"
     alarms = sum(event.name == "contact" for _, event in run.events)
     moving = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])
     return {"minutes": float(moving) / 60.0, "alarms": alarms}

@@ -18,7 +18,7 @@ from trials import plants
 from trials.jobs import Plan, collect
 from trials.laws import force_scale, on_raw_tension
 from trials.lockstep import RATES_HZ, Trial, TrialRecord, run, unchanged
-from trials.plants import TO_CONTACT
+from trials.plants import PHASES_TO_CONTACT
 
 LOW_N = 15.0
 HIGH_N = 40.0
@@ -30,7 +30,7 @@ TASK = {
     "schema": 1,
     "name": "force",
     "phase": [
-        *TO_CONTACT,
+        *PHASES_TO_CONTACT,
         {"kind": "hold", "name": "low", "tension_N": LOW_N, "rate_N_per_s": 60.0, "duration_s": 1.0},
         {"kind": "hold", "name": "up", "tension_N": HIGH_N, "rate_N_per_s": RATE_N_PER_S, "duration_s": HOLD_S},
         {"kind": "hold", "name": "down", "tension_N": LOW_N, "rate_N_per_s": RATE_N_PER_S, "duration_s": HOLD_S},

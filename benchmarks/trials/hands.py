@@ -11,14 +11,17 @@ from pathlib import Path
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content, hand_path, load_hand
 
-CLEAR = ".clear"
+CLEAR_SUFFIX = ".clear"
 """Suffix of the name of a packaged hand for its variant with free space around every digit."""
-SIDE = ".side"
+SIDE_SUFFIX = ".side"
 """Suffix for the variant that also lies on its side: gravity acts in the plane in which the digits flex."""
 SIDE_GRAVITY_M_S2 = [0.0, -9.81, 0.0]
-"""Gravity in the frame of the palm, from the fingers to the thumb. It closes the fingers and opens the thumb."""
+"""Gravity in the frame of the palm [m/s2], from the fingers to the thumb.
+
+This gravity closes the fingers and opens the thumb.
+"""
 FINGERTIP_LOAD = 10.0
-"""Factor on mass and inertia of the last link of each digit of a hand on its side. A fingertip then has 21 g."""
+"""Factor on mass and inertia of the last links of a hand on its side. With this factor a fingertip has 21 g."""
 FORWARD_M, APART_M = 0.04, 0.1
 """Distance of the digits from the palm, and from each digit to the next [m]."""
 
@@ -26,28 +29,28 @@ FORWARD_M, APART_M = 0.04, 0.1
 @cache
 def hand_by_name(name: str) -> Hand:
     """Return a hand by its name in the benchmarks."""
-    if not name.endswith((CLEAR, SIDE)):
+    if not name.endswith((CLEAR_SUFFIX, SIDE_SUFFIX)):
         return load_hand(name)
     content = hand_content(packaged(name))
     for i, digit in enumerate(content["digit"]):
         x, y, z = digit["mount_position_m"]
         digit["mount_position_m"] = [x + FORWARD_M, y, z + i * APART_M]
-        if name.endswith(SIDE):
+        if name.endswith(SIDE_SUFFIX):
             for key in ("link_mass_kg", "link_inertia_kg_m2"):
                 digit[key][-1] *= FINGERTIP_LOAD
-    if name.endswith(SIDE):
+    if name.endswith(SIDE_SUFFIX):
         content["mount"]["gravity_m_s2"] = SIDE_GRAVITY_M_S2
     return hand_from_content(content, name)
 
 
 def packaged(name: str) -> str:
     """Return the name of the packaged hand from which a hand of the benchmarks is derived."""
-    return name.removesuffix(CLEAR).removesuffix(SIDE)
+    return name.removesuffix(CLEAR_SUFFIX).removesuffix(SIDE_SUFFIX)
 
 
 def file_of(name: str, folder: Path) -> Path:
     """Return the file of a hand, for the simulator."""
-    if not name.endswith((CLEAR, SIDE)):
+    if not name.endswith((CLEAR_SUFFIX, SIDE_SUFFIX)):
         return hand_path(name)
     path = folder / f"{name}.toml"
     path.write_text(hand_by_name(name).to_toml())

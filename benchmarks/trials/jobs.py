@@ -30,10 +30,12 @@ class Plan:
 
 
 def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
-    """Return the results by job that are stored or that can be computed in the time. A result must survive JSON.
+    """Return the results by job: the stored results, and those that can be computed within the time.
 
     Args:
-        work: top-level function that computes one job. jobs: arguments of each job, as tuples. plan: see ``Plan``.
+        work: top-level function that computes one job. Its result consists of JSON values.
+        jobs: arguments of each job, as tuples.
+        plan: see ``Plan``.
     """
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     done = {job: stored for job in jobs if (stored := _stored(work, job, plan)) is not None}
@@ -44,7 +46,7 @@ def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
         _keep(work, job, done[job], plan)
         print(f"{len(done)}/{len(jobs)} {work.__name__} {job}", file=sys.stderr, flush=True)
     if len(done) < len(jobs):
-        print(f"{len(jobs) - len(done)} of {len(jobs)} not run: go on with the same --keep", file=sys.stderr)
+        print(f"{len(jobs) - len(done)} of {len(jobs)} not run: continue with the same --keep", file=sys.stderr)
     return {job: done[job] for job in jobs if job in done}
 
 

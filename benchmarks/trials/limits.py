@@ -30,13 +30,13 @@ SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 def limit(model: HandModel, i: int, is_held: bool, encoder: bool = True) -> tuple[float, float]:
     """Return the standard deviation of the tension of tendon i at the last sample and at present [N].
 
-    The estimate of the controller is for the present, one period after the sample. It is compared
-    with both values.
+    The estimate of the controller is for the present, one period after the sample. The benchmark compares
+    this estimate with both values.
 
     Args:
         model: hand and control rate.
         i: index of the tendon.
-        held: True if the digit presses on an object.
+        is_held: True if the digit presses on an object.
         encoder: True if the filter uses the encoder of the motor and the load cell.
     """
     space = model.space

@@ -10,13 +10,13 @@ PLANTS: dict[str, dict[str, float]] = {
     "friction -50 %": {"friction": 0.5},
     "bias 1 N": {"bias": 1.0},
 }
-FURTHER_OFF: dict[str, dict[str, float]] = {
+FURTHER_PLANTS: dict[str, dict[str, float]] = {
     "stiffness +50 %": {"stiffness": 1.5},
     "stiffness -50 %": {"stiffness": 0.5},
     "friction +100 %": {"friction": 2.0},
 }
 """Further plants, which are used only for the tension estimate."""
-TO_CONTACT = (
+PHASES_TO_CONTACT = (
     {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
      "duration_s": 0.4},
     {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 60.0, "contact_tension_N": 14.0},

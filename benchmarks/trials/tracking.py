@@ -27,7 +27,7 @@ from handctl.tune.loops.design import keeps_required_margins, linear_factors
 from handctl.tune.loops.linear import LoopKind
 from handctl.tune.search.ensemble import draw_ensemble
 from trials import force, force_page, page, tracking_page
-from trials.hands import CLEAR, hand_by_name
+from trials.hands import CLEAR_SUFFIX, hand_by_name
 from trials.jobs import Plan, add_options, collect, plan_of
 from trials.laws import LAWS
 from trials.lockstep import RATES_HZ, Trial, TrialRecord, run
@@ -37,8 +37,18 @@ from trials.script import Script, Step
 HANDS = ("jamia", "jamia11")
 SPEEDS = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 """Duration of a motion of 60 degrees [s], minimum jerk."""
-ANGLE_DEG, SETTLE_S, BACK_S, REST_S, AFTER_S, BAND_DEG = 60.0, 0.5, 0.5, 0.2, 0.05, 1.0
-"""Of the motion; to settle after it; of the way back, to rest after that; still counts as motion; as settled."""
+ANGLE_DEG = 60.0
+"""Angle of a motion [deg]."""
+SETTLE_S = 0.5
+"""Time after a motion for the error to settle [s]."""
+BACK_S = 0.5
+"""Duration of the motion back [s]."""
+REST_S = 0.2
+"""Time of rest after the motion back [s]."""
+AFTER_S = 0.05
+"""Time after a motion that counts as part of the motion [s]."""
+BAND_DEG = 1.0
+"""Largest error of a settled motion [deg]."""
 WEIGHTS = tuple(
     (p * 1e-4, v * 1e-2)
     for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 2), (0.8, 3), (1.2, 3), (1.5, 2), (1.5, 3), (1.5, 6), (2.2, 3),
@@ -47,11 +57,11 @@ WEIGHTS = tuple(
 """Candidates of the weights: position error [m] and speed error [m/s] of equal cost, for every law."""
 TUNING_SEED = 1000
 TUNED = Path(__file__).with_name("tuned.json")
-"""With each of ``WEIGHTS``, by hand and law: RMSE [deg] of the fast motion, null where a motion did not get to its end,
-and whether the motion loop keeps its margins.
+"""File with the results of ``--tune`` for each pair of ``WEIGHTS``, by hand and control law.
 
-Slow, medium and fast in one run, as it is judged: what is best in one motion from rest may not bear
-three.
+The results are the RMSE of the fast motion [deg], null if a motion did not reach its end, and True or False
+for a motion loop that keeps its margins. Each run has the slow, medium and fast motion, because weights that
+are best for a single motion may end a run with three motions.
 """
 PLAIN, SPRINGS_LAW, BEST, MISPRINTED = [list(LAWS)[i] for i in (0, 1, -2, -1)]
 COMPARED = (PLAIN, SPRINGS_LAW, BEST)
@@ -75,7 +85,7 @@ def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: s
     """Return the trial of a law."""
     config = LAWS[law]
     return Trial(
-        hand + CLEAR,
+        hand + CLEAR_SUFFIX,
         moves(speeds),
         seed,
         None,
@@ -111,7 +121,7 @@ def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, f
 
 
 def work(job: tuple) -> dict[str, dict[str, float | str]]:
-    """Run one trial and return its figures. A motion that did not end has an infinite error, and the reason."""
+    """Run one trial and return its figures. For a motion that did not end they are inf, with the reason."""
     record = run(trial(*job))
     result: dict = judge(record, job[-1])
     for speed in job[-1] if record.failure else ():
@@ -147,7 +157,11 @@ def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
 
 
 def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
-    """Return the best weights of a law. ``careful``: of those with margins (the softest if none has both)."""
+    """Return the best weights of a law.
+
+    With ``careful`` only weights that keep the margins are considered. If no such weights complete the
+    motions, the softest weights are returned.
+    """
     table = json.loads(TUNED.read_text("utf-8"))
     errors = table["rmse_deg"][hand][law]
     selected = table["keeps_margins"][hand][law]

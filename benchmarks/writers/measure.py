@@ -47,7 +47,7 @@ def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
         try:
             writers[name] = other(folder / f"{name}.mcap", make, messages, len(ticks))
         except ImportError as error:
-            writers[name] = {"skipped": f"{error.name} is not installed: make bench brings it"}
+            writers[name] = {"skipped": f"{error.name} is not installed: make bench installs it"}
     return {
         "hand": "jamia11",
         "rate_hz": RATE_HZ,

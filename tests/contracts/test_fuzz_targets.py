@@ -47,7 +47,7 @@ def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> No
 
 def test_a_changed_field_of_a_log_is_found_by_its_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     error_lines: list[str] = []
-    monkeypatch.setattr(files, "one_line", lambda error: error_lines.append(str(error)))
+    monkeypatch.setattr(files, "check_one_line", lambda error: error_lines.append(str(error)))
     target = TARGETS["log"](tmp_path)
     parts = logs._parts(tmp_path / "small.mcap")
     messages = ((i, at) for i, part in enumerate(parts) for at, one in enumerate(part) if one[0] == Opcode.MESSAGE)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fuzz import soak
-from fuzz.soak import LONG_ENOUGH_S, WARM_S, Sample, slope
+from fuzz.soak import MIN_SLOPE_TIME_S, WARM_S, Sample, slope
 from handctl.hand.load import load_hand
 from handctl.programs.calibration import load_calibration
 
@@ -44,5 +44,5 @@ def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
 
 
 def test_too_short_a_time_has_no_slope() -> None:
-    assert slope(watched(WARM_S + LONG_ENOUGH_S - 60.0)) is None
-    assert slope(watched(WARM_S + LONG_ENOUGH_S + 60.0)) is not None
+    assert slope(watched(WARM_S + MIN_SLOPE_TIME_S - 60.0)) is None
+    assert slope(watched(WARM_S + MIN_SLOPE_TIME_S + 60.0)) is not None

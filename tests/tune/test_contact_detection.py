@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.identify import detuned, excited, plant, truth
+from benchmarks.identify import draw_gains, draw_plant, excite_and_fit, truth
 from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.tune.identify.contact_detection import (
@@ -36,7 +36,7 @@ def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
 def identify_touching_finger(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, TendonResult]:
     """Identify a middle finger that meets the thumb."""
     path = with_near_thumb(hand, thumb_mm, folder)
-    found, row = excited(path, "middle", seed, {"spring": SPRING}, Gains(), folder)
+    found, row = excite_and_fit(path, "middle", seed, {"spring": SPRING}, Gains(), folder)
     assert "failure" not in row
     return found
 
@@ -57,7 +57,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     for one in found.values():
         assert one.contact or one.blocked
         assert not set(one.names) & set(SWEEP_PARAMETERS)
-    real = truth(load_hand(hand), next(iter(found)), plant(0) | dict.fromkeys(plant(0), 1.0))
+    real = truth(load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0))
     for one in found.values():  # parameters that the contact does not affect are correct
         for name in set(one.names) & {"torque_gain", "motor_inertia", "motor_coulomb", "tendon_stiffness"}:
             assert abs(one.fit.values[name] - real[name]) < 2.0 * one.fit.half_widths[name], name
@@ -66,18 +66,18 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 @pytest.mark.parametrize(("hand", "seed"), [one for one in UNDISTURBED if NIGHTLY or one in UNDISTURBED_SAMPLE])
 def test_a_digit_that_touches_nothing_is_kept(tmp_path: Path, hand: str, seed: int) -> None:
     """Accept plants with parameters off by up to 30 %."""
-    found, row = excited(hand, DIGITS[seed % 4], seed, plant(seed), Gains(), tmp_path)
+    found, row = excite_and_fit(hand, DIGITS[seed % 4], seed, draw_plant(seed), Gains(), tmp_path)
     assert "failure" not in row
     assert [(one.contact, one.blocked) for one in found.values() if one.contact or one.blocked] == []
 
 
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     """The controller alone reports an obstacle, by the hand file's springs and with detuned gains."""
-    found, row = excited("jamia", "index", 8, plant(8), detuned(Gains(), 8), tmp_path)
+    found, row = excite_and_fit("jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path)
     assert "failure" not in row
     one = found["index_tendon"]
     assert (one.contact, one.blocked) == ("", "")
-    assert one.fit.values["spring_stiffness"] == pytest.approx(plant(8)["spring"], rel=0.05)
+    assert one.fit.values["spring_stiffness"] == pytest.approx(draw_plant(8)["spring"], rel=0.05)
 
 
 def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> Ramp | None:

@@ -51,7 +51,7 @@ def test_repeated_rollbacks_go_back_to_the_packaged_gains(store: GainsStore) -> 
         store.rollback()
         seen.append(present(store))
     assert seen == [22.0, 21.0, Gains().motion.force_N]
-    with pytest.raises(ConfigError, match="packaged gains are the first"):
+    with pytest.raises(ConfigError, match="no gains precede the packaged gains"):
         store.rollback()
     assert store.rollback(to=3).gains == force(23.0)
     assert [entry.number for entry in store.entries()] == list(range(1, 8))

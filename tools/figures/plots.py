@@ -179,7 +179,7 @@ def bus_tick(folder: Path) -> Any:
     for lane, what, label, colour in [*commands, *answers]:
         us = 1e6 * next(row.frame_s for row in rows if row.what == what)
         axes.barh(lanes[lane], us - 6.0, left=at, color=colour, height=0.55)
-        # A short frame has its label upright.
+        # The label of a short frame is vertical.
         turned = 90.0 if us < 100.0 else 0.0
         axes.text(at + us / 2.0 - 3.0, lanes[lane], label, ha="center", va="center", color="white", fontsize=7,
                   rotation=turned)  # fmt: skip

@@ -29,7 +29,7 @@ from tools.figures.style import SETTINGS
 
 Array = NDArray[np.float64]
 DEMO = ("demo", "--lockstep", "--json")
-"""Verb whose numbers stand in the README."""
+"""Arguments of the run whose numbers are in the README."""
 RATE_HZ = 500.0
 SNAP_S = 0.25
 """Time after the snap in the figure [s]."""
@@ -74,7 +74,7 @@ FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
 
 
 def record(run: Simulation, seconds: float, until: str = "") -> Recording:
-    """Run on, and record until a phase begins, the hand is done, or the time is over.
+    """Continue and record a run until a phase begins, the hand is done, or the time is over.
 
     Args:
         run: simulation in any stage.
@@ -172,7 +172,10 @@ def tip_on_wall() -> Recording:
 
 
 def tip_in_grasp() -> Recording:
-    """Hold a cylinder with three commanded tip forces of each finger. The thumb presses as much as all fingers."""
+    """Hold a cylinder with three commanded tip forces of each finger.
+
+    The force of the thumb is the sum of the forces of the fingers.
+    """
     opened = {**dict.fromkeys(FINGERS, 15.0), "thumb": 8.0}
     closed = {**dict.fromkeys(FINGERS, 60.0), "thumb": 45.0}
     forces = [{**dict.fromkeys(FINGERS, force), "thumb": len(FINGERS) * force} for force in GRIP_COMMANDS_N]

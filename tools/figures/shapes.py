@@ -19,7 +19,7 @@ def plane(width: float, height: float, size: Point) -> tuple[Any, Any]:
 
 
 def block(axes: Any, corner: Point, size: Point, text: str, subject: str = "host", fontsize: float = 8.5) -> None:
-    """Draw a block with a text in its middle. The colour is the subject's."""
+    """Draw a block with a text in its middle. The subject selects the colour."""
     from matplotlib.patches import FancyBboxPatch
 
     style = "round,pad=0,rounding_size=0.12"

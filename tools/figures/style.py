@@ -1,4 +1,4 @@
-"""One style for all figures: fonts, colours, and files that name the version beside which they stand."""
+"""Common style of all figures: fonts, colours, and the version of handctl in the metadata of the files."""
 
 import io
 import re
@@ -61,7 +61,7 @@ def save(figure: Any, name: str, folder: Path = FOLDER) -> list[Path]:
 
 
 def without_blanks(content: bytes) -> bytes:
-    """Remove the blanks that matplotlib leaves at the ends of lines of an SVG, and that git reports."""
+    """Remove the blanks at the ends of lines of an SVG from matplotlib, because git reports such blanks."""
     return b"\n".join(map(bytes.rstrip, content.split(b"\n")))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from handctl.cli.main import main
 from tools.figures import runs
 
-DETUNED = """schema = 1
+DETUNED_GAINS = """schema = 1
 [motion]
 position_error_m = 1.8e-3
 speed_error_m_s = 9.3e-3
@@ -21,8 +21,8 @@ integral_per_s = 9.0
 [filter]
 motor_disturbance_N = 0.36
 """
-WILD = "schema = 1\n[motion]\nforce_N = 450.0\n[tension]\nforce_N = 300.0\n"
-"""Gains that are wrong by a factor of three, and gains that are far too strong."""
+UNSTABLE_GAINS = "schema = 1\n[motion]\nforce_N = 450.0\n[tension]\nforce_N = 300.0\n"
+"""Gains with which the loops oscillate."""
 PERTURBED = ("stiffness=0.8", "spring=1.2", "friction=1.25", "motor_inertia=0.8", "torque_constant=1.1")
 OTHER_HAND = ("stiffness=0.7", "friction=1.3", "motor_inertia=0.7")
 """Factors of the simulated hands on the page Tune a hand."""
@@ -53,8 +53,8 @@ def empty_folder(folder: Path, name: str) -> Iterator[Path]:
     path = folder / name
     shutil.rmtree(path, ignore_errors=True)
     path.mkdir(parents=True)
-    (path / "detuned.toml").write_text(DETUNED, encoding="utf-8")
-    (path / "wild.toml").write_text(WILD, encoding="utf-8")
+    (path / "detuned.toml").write_text(DETUNED_GAINS, encoding="utf-8")
+    (path / "wild.toml").write_text(UNSTABLE_GAINS, encoding="utf-8")
     yield path
 
 
@@ -67,14 +67,14 @@ def identify_picture(folder: Path) -> Path:
 
 
 def design_picture(folder: Path) -> Path:
-    """Design gains with margins from gains without."""
+    """Design gains with margins, starting from gains without margins."""
     with empty_folder(folder, "design") as path:
         call(path, "tune", "design", "--hand", "jamia", "--gains", "detuned.toml", "--output", "design.toml")
         return path / "design.png"
 
 
 def return_picture(folder: Path) -> Path:
-    """Verify gains that oscillate, so that the old gains return."""
+    """Verify gains that oscillate, so that the run returns to the old gains."""
     with empty_folder(folder, "return") as path:
         call(path, "tune", "verify", "wild.toml", "--hand", "jamia", "--lockstep", "--log", "return.mcap", codes=(1,))
         return path / "return.png"
@@ -89,7 +89,7 @@ def search_picture(folder: Path) -> Path:
 
 
 def verify_picture(folder: Path) -> Path:
-    """Verify the gains of the search on another hand, after the search if it has not been run."""
+    """Verify the gains of the search on another hand. If the search has not been run, it runs first."""
     gains_file = folder / "search" / "search.toml"
     if not gains_file.exists():
         search_picture(folder)

@@ -8,8 +8,8 @@ from handctl.cli.main import GROUPS, VERBS, verb_parser
 from handctl.session.exit_codes import ExitCode
 from tools.reference.markdown import attribute_docstrings, code, prose, table
 
-EVERYWHERE = {"-h", "-v", "-q"}
-"""Options of every verb, explained once."""
+COMMON_OPTIONS = {"-h", "-v", "-q"}
+"""Options of every verb. The page explains them only once."""
 
 
 def verb_table() -> str:
@@ -44,10 +44,10 @@ def _parser(parser: argparse.ArgumentParser, command: str, level: str) -> Iterat
 
 
 def _is_listed(action: argparse.Action) -> bool:
-    """Return True for an argument of one verb alone."""
+    """Return True for an argument that is listed with its verb."""
     if isinstance(action, argparse._SubParsersAction) or action.help == argparse.SUPPRESS:
         return False
-    return not EVERYWHERE.intersection(action.option_strings)
+    return not COMMON_OPTIONS.intersection(action.option_strings)
 
 
 def _row(action: argparse.Action) -> tuple[str, str]:

@@ -19,13 +19,16 @@ MEANINGS = {
     "hold.tension_N": "Tension of each digit [N].",
     "hold.rate_N_per_s": "Rate of the tension [N/s].",
 }
-"""Meaning of each key whose model has none."""
+"""Meaning of each key without a description in its model."""
 VALUES = {"hand.schema": "1 or 2"}
 """Valid values of keys whose model describes a file after defaults and templates were applied."""
-MAY_BE_ABSENT = ("hand.sensor_node",)
-"""Keys that a file may leave out, although the model has them always."""
-SHORTER = {"a name of letters, digits and _ that begins with a letter": "a name", "a whole number from 1 to 1": "1"}
-"""Shorter forms of the messages of validators. The page defines a name."""
+OPTIONAL_KEYS = ("hand.sensor_node",)
+"""Keys that a file may leave out, although the model requires them."""
+SHORT_MESSAGES = {
+    "a name of letters, digits and _ that begins with a letter": "a name",
+    "a whole number from 1 to 1": "1",
+}
+"""Shorter forms of the messages of validators. The page itself explains what a valid name is."""
 
 
 def hand_file() -> str:
@@ -50,10 +53,10 @@ def _row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
     """Return value, necessity and meaning of a key.
 
     Raises:
-        KeyError: the key has no meaning here and in its model.
+        KeyError: the key has neither a description in its model nor an entry in MEANINGS.
     """
     field = model.model_fields[name]
-    required = "yes" if field.is_required() and key not in MAY_BE_ABSENT else "no"
+    required = "yes" if field.is_required() and key not in OPTIONAL_KEYS else "no"
     annotation = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
     return VALUES.get(key) or value_text(annotation), required, prose(key_description(model, name)) or MEANINGS[key]
 
@@ -70,8 +73,8 @@ def _parts(annotation: Any) -> Iterator[Any]:
 def value_text(annotation: Any) -> str:
     """Return the valid values of a type in words.
 
-    A type with a range has no readable form of it. Its validator is given a wrong value, and the
-    message contains the range.
+    A type does not expose its range in a readable form. Therefore its validator gets a wrong value, and
+    the range is taken from the error message.
     """
     origin = get_origin(annotation)
     arguments = [part for part in get_args(annotation) if part is not NoneType]
@@ -103,7 +106,7 @@ def _expected(annotation: Any) -> str:
         TypeAdapter(annotation).validate_python(object())
     except ValidationError as error:
         text = str(error.errors()[0].get("ctx", {}).get("right") or error.errors()[0]["msg"])
-        return SHORTER.get(text, text)
+        return SHORT_MESSAGES.get(text, text)
     return "any value"
 
 

@@ -16,19 +16,19 @@ ENTRY = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
 def cell(text: object) -> str:
     """Return a text as the content of a table cell.
 
-    A backslash before a bar is shown if it is within code, so that such code is written in HTML.
+    Code with a vertical bar is written in HTML, because Markdown would show the backslash before the bar.
     """
     plain = " ".join(str(text).split())
     return re.sub(r"`([^`]*\|[^`]*)`", _code_with_bars, plain).replace("|", "\\|")
 
 
 def _code_with_bars(match: re.Match[str]) -> str:
-    """Return code in HTML, with its bars as character references."""
+    """Return code in HTML, with vertical bars as character references."""
     return "<code>" + html.escape(match[1], quote=False).replace("|", "&#124;") + "</code>"
 
 
 def code(text: object) -> str:
-    """Return a text as code. A table cell escapes it afterwards."""
+    """Return a text as code. The function `cell` escapes this text in a table."""
     return "`" + " ".join(str(text).split()) + "`"
 
 

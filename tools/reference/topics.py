@@ -48,7 +48,7 @@ REMARKS = {
     "/actuator_states": "At the spool. Positive values wind the tendon.",
 }
 """Remark on each JointState topic whose fields need one."""
-SHOWN = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs/StatisticsValues")
+PRINTED_TYPES = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs/StatisticsValues")
 """Message types whose definition the page prints."""
 
 
@@ -81,7 +81,7 @@ def topics() -> str:
 def _linked_type(kind: str) -> str:
     """Return a message type, with a link to its definition if the page prints it."""
     name = kind.replace("/msg/", "/")
-    if name not in DEFINITIONS or not name.startswith(SHOWN):
+    if name not in DEFINITIONS or not name.startswith(PRINTED_TYPES):
         return code(kind)
     return f"[{code(kind)}](#{re.sub('[^a-z_]', '', name.lower())})"
 
@@ -112,7 +112,7 @@ def message_types() -> str:
     """Return the definitions of handctl's own message types, and of the two that most topics use."""
     parts = []
     for name, definition in DEFINITIONS.items():
-        if name.startswith(SHOWN):
+        if name.startswith(PRINTED_TYPES):
             parts += [f"### {name}", f"```text\n{definition.strip()}\n```"]
     return "\n\n".join(parts)
 
