@@ -185,7 +185,8 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
     cases = [(hand, plant) for plant in plants for hand in HANDS]
     cases.insert(len(HANDS), ("jamia_bench", "as known"))
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
-    # The jobs are in the order of their seeds, so that a stopped benchmark has equally many results of each case.
+    # The jobs are in the order of their seeds, so that a stopped benchmark has equally many results
+    # of each case.
     jobs = [(*case, k) for k in range(max(counts)) for case, n in zip(cases, counts, strict=True) if k < n]
     results = collect(judge, jobs, plan)
     tables: dict = {"seeds": {}, "hands": {}, "ended": []}

@@ -20,7 +20,10 @@ PER_LINK_KEYS = (
     "spring_stiffness_N_m_per_rad",
     "spring_preload_rad",
 )
-"""Keys of a digit with a list of one value per link. In schema 2 a single number stands for equal values."""
+"""Keys of a digit with a list of one value per link.
+
+In schema 2 a single number stands for equal values.
+"""
 
 
 POWERS = 6

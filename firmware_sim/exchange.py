@@ -129,7 +129,8 @@ class Exchange:
         receivers = list[tuple[int, int, int]]()
         table = cyclic.empty_table(len(world.nodes))
         for bus, nodes in enumerate(world.nodes):
-            # If a test has replaced ``receive`` of a node, Python must process every frame of the node.
+            # If a test has replaced ``receive`` of a node, Python must process every frame of the
+            # node.
             by_kernel = [id(node) in world.row_of and "receive" not in vars(node) for node in nodes]
             cyclic_ids = {
                 id(node): node.cyclic_ids if compiled else () for node, compiled in zip(nodes, by_kernel, strict=True)

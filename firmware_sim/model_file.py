@@ -107,7 +107,10 @@ def _form(kind: str) -> str:
 
 
 def _check_joint_types(root: ET.Element, path: str) -> None:
-    """Refuse joints of a URDF that a hand cannot have. MuJoCo would read some of them as joints of another type."""
+    """Refuse joints of a URDF that a hand cannot have.
+
+    MuJoCo would read some of them as joints of another type.
+    """
     for joint in root.iter("joint"):
         kind = joint.get("type")
         if kind is not None and kind not in URDF_JOINTS:
@@ -150,7 +153,10 @@ def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
 
 
 def _model(spec: Any) -> Any:
-    """Compile without warnings. The warnings concern the dynamics, and would appear beside an error of one line."""
+    """Compile without warnings.
+
+    The warnings concern the dynamics, and would appear beside an error of one line.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return spec.compile()

@@ -10,7 +10,10 @@ from dataclasses import dataclass
 REPORT_PERIOD_S = 1.0
 """Minimum time between two reports [s]."""
 SLOW_MACHINE_SLIPS = 3
-"""Smallest number of slips in one report period that indicates a slow machine. Fewer slips are a short stop."""
+"""Smallest number of slips in one report period that indicates a slow machine.
+
+Fewer slips are a short stop.
+"""
 CORE_FRACTION = 0.5
 """Fraction of a core for the simulator. Controller, recorder and system need the rest."""
 ADVISED_FRACTION = 0.8

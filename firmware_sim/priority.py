@@ -42,9 +42,10 @@ class RealTimePriority:
     """Real-time priority while the simulator serves a controller, without starving the controller.
 
     A simulator that is behind is always busy. With real-time priority it would leave almost no time
-    to a controller on the same core that still imports and has no real-time priority yet. The priority
-    is therefore taken with the first frame of a host. The priority is given back for
-    ``ORDINARY_PRIORITY_S`` if the plant falls behind repeatedly, but not after a single stop of the machine.
+    to a controller on the same core that still imports and has no real-time priority yet. The
+    priority is therefore taken with the first frame of a host. The priority is given back for
+    ``ORDINARY_PRIORITY_S`` if the plant falls behind repeatedly, but not after a single stop of the
+    machine.
 
     Attributes:
         active: True while the process has the priority.

@@ -63,8 +63,8 @@ def columns(plant: Plant) -> list[tuple[str, str]]:
 class TruthWriter:
     """Writer of a truth file.
 
-    The values of a row belong to the time of the row, except the contact forces, which belong to the
-    previous step (0.5 ms).
+    The values of a row belong to the time of the row, except the contact forces, which belong to
+    the previous step (0.5 ms).
 
     Attributes:
         due_ns: plant time of the next row [ns].

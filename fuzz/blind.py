@@ -1,7 +1,7 @@
 """Fuzzing of one target without coverage: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
 
-The inputs are random changes of the corpus of coverage-guided fuzzing. Blind fuzzing is a few times faster,
-which permits larger numbers of inputs.
+The inputs are random changes of the corpus of coverage-guided fuzzing. Blind fuzzing is a few times
+faster, which permits larger numbers of inputs.
 """
 
 import random

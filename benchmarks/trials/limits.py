@@ -30,8 +30,8 @@ SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 def limit(model: HandModel, i: int, is_held: bool, encoder: bool = True) -> tuple[float, float]:
     """Return the standard deviation of the tension of tendon i at the last sample and at present [N].
 
-    The estimate of the controller is for the present, one period after the sample. The benchmark compares
-    this estimate with both values.
+    The estimate of the controller is for the present, one period after the sample. The benchmark
+    compares this estimate with both values.
 
     Args:
         model: hand and control rate.

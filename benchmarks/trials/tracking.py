@@ -59,9 +59,9 @@ TUNING_SEED = 1000
 TUNED = Path(__file__).with_name("tuned.json")
 """File with the results of ``--tune`` for each pair of ``WEIGHTS``, by hand and control law.
 
-The results are the RMSE of the fast motion [deg], null if a motion did not reach its end, and True or False
-for a motion loop that keeps its margins. Each run has the slow, medium and fast motion, because weights that
-are best for a single motion may end a run with three motions.
+The results are the RMSE of the fast motion [deg], null if a motion did not reach its end, and True
+or False for a motion loop that keeps its margins. Each run has the slow, medium and fast motion,
+because weights that are best for a single motion may end a run with three motions.
 """
 PLAIN, SPRINGS_LAW, BEST, MISPRINTED = [list(LAWS)[i] for i in (0, 1, -2, -1)]
 COMPARED = (PLAIN, SPRINGS_LAW, BEST)
@@ -159,8 +159,8 @@ def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
 def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
     """Return the best weights of a law.
 
-    With ``careful`` only weights that keep the margins are considered. If no such weights complete the
-    motions, the softest weights are returned.
+    With ``careful`` only weights that keep the margins are considered. If no such weights complete
+    the motions, the softest weights are returned.
     """
     table = json.loads(TUNED.read_text("utf-8"))
     errors = table["rmse_deg"][hand][law]

@@ -234,8 +234,8 @@ def _is_foreign(link: socket.socket) -> bool:
 def _listen(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # Check, unlink and bind must not interleave with those of another hub. Therefore the directory
-        # is locked.
+        # Check, unlink and bind must not interleave with those of another hub. Therefore the
+        # directory is locked.
         with _locked(path.parent):
             if _is_served(path):
                 raise SimulatorError(

@@ -178,7 +178,10 @@ class TimedPort:
             self._received.append(frame)
 
     def send(self, frames: list[Frame]) -> None:
-        """Send answers of the nodes. An answer may start when the latest received frame ends. See ``ports.Port``."""
+        """Send answers of the nodes.
+
+        An answer may start when the latest received frame ends. See ``ports.Port``.
+        """
         for frame in frames:
             controller = self._nodes.get(frame.can_id)
             if controller is None:

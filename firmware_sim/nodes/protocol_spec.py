@@ -18,8 +18,8 @@ class Node(Protocol):
     Attributes:
         wake_ns: time of the next call of ``wake`` [ns].
         malformed: frames on the node's identifiers that the node could not decode.
-        ids: identifiers that the node may answer, a new object after each change. None if the node must see
-            every frame.
+        ids: identifiers that the node may answer, a new object after each change. None if the node
+            must see every frame.
     """
 
     @property

@@ -26,7 +26,10 @@ PALM_BIT = 8
 TABLE_BIT = 16
 """Collision category of the table."""
 PALM_DEPTH = 0.02
-"""Depth of the palm [m]. The face of the palm is at the mount with the smallest x, usually at x = 0."""
+"""Depth of the palm [m].
+
+The face of the palm is at the mount with the smallest x, usually at x = 0.
+"""
 PALM_MARGIN = 0.01
 """Extent of the palm beyond the outermost mounts [m]."""
 LINK_SAMPLES = 9

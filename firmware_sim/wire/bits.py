@@ -15,7 +15,10 @@ from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
 INTERFRAME_BITS = 3
 """Bits of the interframe space."""
 TAIL_BITS = 1 + 1 + 1 + 7 + INTERFRAME_BITS
-"""CRC delimiter, acknowledge slot and delimiter, end of frame, interframe space. These bits are not stuffed."""
+"""CRC delimiter, acknowledge slot and delimiter, end of frame, interframe space.
+
+These bits are not stuffed.
+"""
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Payload length of each FD data length code [bytes]."""
 CRC15 = 0x4599

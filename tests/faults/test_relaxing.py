@@ -127,8 +127,9 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden.task()) as simulation:
         free_ticks = 0
-        while not hidden.is_at_stage("free", out := simulation.tick(), free_ticks := free_ticks + (out.phase == "free")):
-            pass
+        out = simulation.tick()
+        while not hidden.is_at_stage("free", out, free_ticks := free_ticks + (out.phase == "free")):
+            out = simulation.tick()
         simulation.peer.inject(fault)
         assert simulation.until(lambda out: out.mode == Mode.RELAX, 2.0)
         assert "T04b" in {mark.id for mark in simulation.state.latched}

@@ -73,8 +73,8 @@ def _parts(annotation: Any) -> Iterator[Any]:
 def value_text(annotation: Any) -> str:
     """Return the valid values of a type in words.
 
-    A type does not expose its range in a readable form. Therefore its validator gets a wrong value, and
-    the range is taken from the error message.
+    A type does not expose its range in a readable form. Therefore its validator gets a wrong value,
+    and the range is taken from the error message.
     """
     origin = get_origin(annotation)
     arguments = [part for part in get_args(annotation) if part is not NoneType]

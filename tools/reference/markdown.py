@@ -16,7 +16,8 @@ ENTRY = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
 def cell(text: object) -> str:
     """Return a text as the content of a table cell.
 
-    Code with a vertical bar is written in HTML, because Markdown would show the backslash before the bar.
+    Code with a vertical bar is written in HTML, because Markdown would show the backslash before
+    the bar.
     """
     plain = " ".join(str(text).split())
     return re.sub(r"`([^`]*\|[^`]*)`", _code_with_bars, plain).replace("|", "\\|")

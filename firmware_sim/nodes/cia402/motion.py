@@ -160,7 +160,8 @@ class MotionModes:
         method = node.objects[0x6098, 0]
         self._target = self._position()
         if method in (INDEX_NEGATIVE, INDEX_POSITIVE):
-            # The index pulse is at whole turns of the encoder, independent of the zero of the position.
+            # The index pulse is at whole turns of the encoder, independent of the zero of the
+            # position.
             turn = node.counts
             raw = self._position() - node.offset / TURN * turn
             edge = math.floor(raw / turn) if method == INDEX_NEGATIVE else math.ceil(raw / turn)

@@ -48,7 +48,10 @@ POSITIVE_OVERLOAD = 2
 NEGATIVE_OVERLOAD = 4
 """Bit of the status: below the range."""
 OVERLOAD = 1.03125
-"""Smallest reading that counts as overload, divided by the range. Source: WIKA MH-4-CAN, 3.125 % beyond the range."""
+"""Smallest reading that counts as overload, divided by the range.
+
+Source: WIKA MH-4-CAN, 3.125 % beyond the range.
+"""
 FLOAT = 0x6130
 """Process value as a float."""
 SHORT = 0x7130

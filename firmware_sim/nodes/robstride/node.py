@@ -60,7 +60,10 @@ REPORTED = {
 }  # fmt: skip
 """Faults in the fault report, by the fault in the feedback."""
 FEEDBACK_FAULTS = 0x3F
-"""Faults that the feedback can report. Higher bits are only in the fault report, see ``REPORT_SHIFT``."""
+"""Faults that the feedback can report.
+
+Higher bits are only in the fault report, see ``REPORT_SHIFT``.
+"""
 REPORT_SHIFT = 8
 """Bit of a fault that corresponds to bit 0 of the fault report."""
 HOT_C = 135.0

@@ -152,8 +152,8 @@ def run_campaign(
 def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
     """Return the false alarms in a run without faults, with increased noise and frame loss.
 
-    The hand moves and grasps repeatedly. A run that does not reach a grasp counts as an alarm, because
-    it tests too little.
+    The hand moves and grasps repeatedly. A run that does not reach a grasp counts as an alarm,
+    because it tests too little.
     """
     alarms: list[str] = []
     remaining_s = seconds

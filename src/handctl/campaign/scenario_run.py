@@ -35,7 +35,8 @@ class ScenarioResult:
         scenario: description of the scenario.
         id: row of the matrix.
         stage: stage of the run.
-        effects: number of times the injected fault took effect. Without effect the test is not valid.
+        effects: number of times the injected fault took effect. Without effect the test is not
+            valid.
         ticks: number of ticks from the physical event to the frames with the reaction, -1 without a
             reaction.
         bound: largest allowed number of ticks.
@@ -43,9 +44,9 @@ class ScenarioResult:
         safe_ticks: number of ticks from the event until all torque commands are zero, -1 if this
             never happens.
         tension: largest true tension after the event [N].
-        tension_bound: largest expected tension [N], see the function `tension_bound`.
-        ok: True if the fault took effect and was detected as one of the allowed rows, the reaction was
-            in time, no torque remained, and the tension was below its bound.
+        tension_bound: largest expected tension [N], see the function `tension_bound`. ok: True if
+            the fault took effect and was detected as one of the allowed rows, the reaction was in
+            time, no torque remained, and the tension was below its bound.
         problem: reason why the result is not ok.
     """
 
@@ -205,7 +206,8 @@ def _observe_tick(
         is_expected = event.text.startswith(tuple(filter(None, row.rows))) or not any(row.rows) or scenario.second
         if not result.detected_by and is_report and is_expected:
             result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
-    # A mode that is more severe than the required action is a reaction too. RELAX is not sufficient for CUT.
+    # A mode that is more severe than the required action is a reaction too. RELAX is not sufficient
+    # for CUT.
     reacted = out.action >= row.action or (
         row.action >= Action.RELAX and out.mode in (*SHUT_DOWN_MODES, Mode.RELAX, Mode.CUT)
     )

@@ -54,9 +54,9 @@ class MatrixRow(NamedTuple):
 
     Attributes:
         id: row of the fault catalogue.
-        fault: command for the simulator, or text that begins with HOST_PREFIX. Place holders for the
-            instance: {node}, {tendon}, {digit}, {bus} or {joint}, and {other} for the next motor.
-            Place holders for sizes: {trip} and {limit} for a tendon's tension_trip_N and
+        fault: command for the simulator, or text that begins with HOST_PREFIX. Place holders for
+            the instance: {node}, {tendon}, {digit}, {bus} or {joint}, and {other} for the next
+            motor. Place holders for sizes: {trip} and {limit} for a tendon's tension_trip_N and
             drive_limit_N, {late} for a delay that is late at the control rate [ms], {jump} and
             {rough} for a step and for noise that no drive makes at the control rate [rad].
         action: weakest reaction that is sufficient.
@@ -274,8 +274,8 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     """Return all pairs of the rows for pairs, in a grasp.
 
     The fault with the more severe reaction comes first. The other fault comes a few ticks later on
-    another instance. A row whose instance is missing from the hand, such as a load cell, has no pair.
-    `period_ms` is the control period [ms].
+    another instance. A row whose instance is missing from the hand, such as a load cell, has no
+    pair. `period_ms` is the control period [ms].
     """
     rows = [next(row for row in MATRIX if row.id == id_ and protocol in row.protocols) for id_ in PAIRED_ROWS]
     selected = []

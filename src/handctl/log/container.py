@@ -100,7 +100,8 @@ class Container:
         complete_size: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: a write fails (from every writing method). After this error only `cut_back` may be called.
+        OSError: a write fails (from every writing method). After this error only `cut_back` may be
+            called.
     """
 
     def __init__(self, descriptor: int) -> None:

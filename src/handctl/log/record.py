@@ -57,7 +57,10 @@ SNAPSHOT = 4
 FILE = 5
 """Kind of the record before the header: path of the log, and free space at which it ends early [bytes], as JSON."""
 SNAPSHOT_HEAD = struct.Struct("<qq")
-"""Layout of the start of a snapshot record: number and time [ns] of the tick. The state after this tick follows."""
+"""Layout of the start of a snapshot record: number and time [ns] of the tick.
+
+The state after this tick follows.
+"""
 
 SIZES = struct.Struct("<IHHHH")
 """Layout of the start of a tick's body: size of the Tick message, lengths of the telemetry axes."""

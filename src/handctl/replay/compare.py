@@ -105,7 +105,8 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED * np.var(before[inner]):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
-    # Second difference of the variance. If it is not positive, the minimum is flat and is not refined.
+    # Second difference of the variance. If it is not positive, the minimum is flat and is not
+    # refined.
     bend = earlier - 2.0 * lowest + later
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 

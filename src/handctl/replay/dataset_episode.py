@@ -51,8 +51,8 @@ def find_episode(dataset: Path, episode: int, hand: Hand, period: float, speed_d
         speed_deg_s: limit on the steps from frame to frame [deg/s]. None: a joint that is too fast is refused.
 
     Raises:
-        ConfigError: the dataset or the episode does not exist, the episode lacks joints of the hand, or an angle or a
-            speed is out of range.
+        ConfigError: the dataset or the episode does not exist, the episode lacks joints of the
+            hand, or an angle or a speed is out of range.
     """
     info = _read_info(dataset)
     rate = info.get("fps")

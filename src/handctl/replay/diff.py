@@ -9,7 +9,10 @@ from handctl.log.read.timeline import check_order
 from handctl.replay.compare import check_same_hand, compare_runs
 
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)
-"""Names of the phases without tension in the hand. Only the durations of these phases are compared."""
+"""Names of the phases without tension in the hand.
+
+Only the durations of these phases are compared.
+"""
 
 
 class PhaseSpan(NamedTuple):

@@ -27,7 +27,8 @@ class Execution:
     Attributes:
         ticks: number of executed ticks.
         differing: number of ticks with any different output byte.
-        different_decisions: number of ticks with a different decision: mode, phase, action or events.
+        different_decisions: number of ticks with a different decision: mode, phase, action or
+            events.
         first: the first difference, or None.
         state: first different field in the first different snapshot, or None.
         largest: the largest numeric difference by `relative_error`, or None.

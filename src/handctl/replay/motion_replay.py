@@ -26,8 +26,8 @@ def active_interval(log: RunLog) -> tuple[float, float]:
     The tightening of the tendons at the start is excluded.
 
     Raises:
-        LogError: the hand was never active, not all tendons had targets at the same time, or the ticks are out of
-            order.
+        LogError: the hand was never active, not all tendons had targets at the same time, or the
+            ticks are out of order.
     """
     check_order(log.t_ns, log.header.period_ns)
     preparing = np.zeros(len(log), bool)

@@ -60,8 +60,8 @@ def distance_in_ulps(a: float, b: float) -> int:
 def _ordinal(value: float) -> int:
     """Return the position of a float64 in the order of all float64. Both zeros are 0."""
     bits = int(np.float64(value).view(np.int64))
-    # The bits of positive floats, as integers, are in the order of the floats. The bits of negative floats
-    # are in the reverse order, and have the sign bit.
+    # The bits of positive floats, as integers, are in the order of the floats. The bits of negative
+    # floats are in the reverse order, and have the sign bit.
     return bits if bits >= 0 else -(bits & 0x7FFF_FFFF_FFFF_FFFF)
 
 

@@ -73,8 +73,8 @@ def installed_packages() -> tuple[str, ...]:
 def _name_and_version(dist: Distribution) -> str:
     """Return NAME==VERSION of a package.
 
-    Only the two lines with name and version are read. ``importlib.metadata`` parses the whole metadata of a package
-    as an e-mail, which takes ten times as long.
+    Only the two lines with name and version are read. ``importlib.metadata`` parses the whole
+    metadata of a package as an e-mail, which takes ten times as long.
     """
     lines = (dist.read_text("METADATA") or dist.read_text("PKG-INFO") or "").splitlines()
     values = [next((line[len(key) :] for line in lines if line.startswith(key)), "") for key in ("Name: ", "Version: ")]

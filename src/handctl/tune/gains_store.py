@@ -78,7 +78,8 @@ class GainsStore:
     def set_aside(self) -> Path | None:
         """Rename the file of the present gains if it cannot be used, and return the new path.
 
-        If the file can be used, None is returned. A damaged file prevents a rollback until it is renamed.
+        If the file can be used, None is returned. A damaged file prevents a rollback until it is
+        renamed.
 
         Raises:
             ConfigError: The file cannot be renamed.

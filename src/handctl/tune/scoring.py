@@ -62,8 +62,8 @@ class Score:
     def cost(self, scale: "Score") -> float:
         """Return the cost of the score as one number, relative to another score.
 
-        Tracking and tension have most of the weight. The effort decides between gains with similar tracking
-        and tension.
+        Tracking and tension have most of the weight. The effort decides between gains with similar
+        tracking and tension.
         """
         # The weights are 1, 1 and 0.1. Their sum is 2.1, so the cost of the reference is 1.
         parts = [

@@ -1,7 +1,7 @@
 """Camera videos of a LeRobot dataset: one video frame for each frame of an episode, with statistics.
 
-The program ``ffmpeg`` decodes and encodes the videos. Each frame of the dataset gets the latest camera
-frame that is not later than the dataset frame.
+The program ``ffmpeg`` decodes and encodes the videos. Each frame of the dataset gets the latest
+camera frame that is not later than the dataset frame.
 
 Layout: LeRobot 0.4, ``datasets/lerobot_dataset.py`` and ``video_utils.py``: one file for each
 episode, statistics per colour channel of values from 0 to 1.

@@ -133,9 +133,9 @@ def export_candump(log: RunLog, path: Path) -> int:
 def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     """Yield time [ns], direction, and frame of all frames in the order of time.
 
-    The time of a received frame is the time of its arrival. The time of a sent frame is the start of
-    its tick or the latest arrival in this tick, whichever is later. On a local bus frames arrive when
-    the tick reads them, after the start of the tick.
+    The time of a received frame is the time of its arrival. The time of a sent frame is the start
+    of its tick or the latest arrival in this tick, whichever is later. On a local bus frames arrive
+    when the tick reads them, after the start of the tick.
     """
     pending: list[tuple[int, str, Frame]] = []
     complete_ns = 0
@@ -146,8 +146,8 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         pending += [(frame.t_ns, "R", frame) for frame in received]
         pending += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
         pending.sort(key=itemgetter(0))
-        # A frame of the next tick arrives after the start of this tick. The kernel may deliver a frame
-        # a little after its time stamp, so frames are yielded one tick later.
+        # A frame of the next tick arrives after the start of this tick. The kernel may deliver a
+        # frame a little after its time stamp, so frames are yielded one tick later.
         ready = bisect_left(pending, complete_ns, key=itemgetter(0))
         yield from pending[:ready]
         pending = pending[ready:]

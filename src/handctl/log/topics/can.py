@@ -102,7 +102,8 @@ class _DirectionTopics:
         sequence = stamps.sequence.tolist()
         log = stamps.log.tolist()
         times = measured.tolist()
-        # `rest` holds the long bytes of the frames not yet encoded. Classical frames have no long bytes.
+        # `rest` holds the long bytes of the frames not yet encoded. Classical frames have no long
+        # bytes.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             more = max(length - 8, 0)
             payload = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more])

@@ -34,7 +34,10 @@ class TargetTopic:
         return [variable_length_block(self._channel, stamps.at(np.array(at, np.intp)), messages)]
 
     def _targets_among(self, requests: tuple[str, ...]) -> Iterator[Target]:
-        """Yield the targets among requests. A request that opens a stream gives the names of its later targets."""
+        """Yield the targets among requests.
+
+        A request that opens a stream gives the names of its later targets.
+        """
         for text in requests:
             if not is_target(text):
                 request = parse_request(text)

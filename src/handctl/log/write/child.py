@@ -1,8 +1,8 @@
 """Start of the recorder process, also before the run to be recorded is known.
 
-The recorder process needs half a second for its imports. A verb that records starts this process before
-the verb's own imports (`process_ahead`), so that both import at the same time on two cores. This module
-therefore imports little.
+The recorder process needs half a second for its imports. A verb that records starts this process
+before the verb's own imports (`process_ahead`), so that both import at the same time on two cores.
+This module therefore imports little.
 """
 
 import os

@@ -117,9 +117,8 @@ class RecorderSession:
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
                 self._writer.flush()
-            # `clean` is the last time at which no tick waited, so that MAX_UNWRITTEN_S counts from the
-            # oldest
-            # waiting tick.
+            # `clean` is the last time at which no tick waited, so that MAX_UNWRITTEN_S counts from
+            # the oldest waiting tick.
             if not (self._writer and self._writer.pending):
                 clean = now
             if self._writer and now >= next_sync:

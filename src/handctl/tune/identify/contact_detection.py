@@ -6,9 +6,10 @@ Therefore a ramp that begins at some angle is added to the linearised fit. The s
 the ramp in standard deviations, fitted together with all parameters.
 Source: score test (Rao 1948).
 
-A contact over the whole sweep causes no kink. A digit with n joints, one of them immobile, then behaves
-like a freely moving digit with springs n / (n - 1) times as stiff and (n - 1) / n of the preload. The
-travel distinguishes the two cases: if the digit closes farther than n - 1 joints can, all joints move.
+A contact over the whole sweep causes no kink. A digit with n joints, one of them immobile, then
+behaves like a freely moving digit with springs n / (n - 1) times as stiff and (n - 1) / n of the
+preload. The travel distinguishes the two cases: if the digit closes farther than n - 1 joints can,
+all joints move.
 """
 
 from collections.abc import Sequence

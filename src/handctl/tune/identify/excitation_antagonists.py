@@ -1,8 +1,8 @@
 """Excitation of a digit that tendons close and open: n + 1 tendons without springs, or spool pairs.
 
-The digit sweeps about a posture. Its joints first move together, then against each other, so that every
-tendon winds while others pay out. Then the digit swings. At the end its tendons are stretched while the
-digit rests on its lower stops.
+The digit sweeps about a posture. Its joints first move together, then against each other, so that
+every tendon winds while others pay out. Then the digit swings. At the end its tendons are stretched
+while the digit rests on its lower stops.
 """
 
 import math
@@ -18,11 +18,17 @@ from handctl.programs.excite import ExciteStep
 LOWEST_DEG = 0.0
 """Smallest joint angle of the sweeps [deg]. Below this angle a thumb may touch the palm."""
 HIGHEST_DEG = 32.0
-"""Largest joint angle of the sweeps [deg]. Beyond this angle fingers of the packaged hands touch thumb or palm."""
+"""Largest joint angle of the sweeps [deg].
+
+Beyond this angle fingers of the packaged hands touch thumb or palm.
+"""
 STOP_MARGIN_DEG = 6.0
 """Smallest distance of the sweeps from the joint limits [deg]."""
 SIDEWAYS_DEG = (-2.0, 12.0)
-"""Ends of sweeps that move a digit sideways [deg]. The range is small because of the neighbouring digits."""
+"""Ends of sweeps that move a digit sideways [deg].
+
+The range is small because of the neighbouring digits.
+"""
 SWEEP_S = (0.8, 0.45, 0.45)
 """Durations of the moves from one end of a sweep to the other [s]."""
 SWING_DEG = 9.0
@@ -38,8 +44,9 @@ SWING_TORQUE = 0.25
 STRETCH_FRACTION = 0.3
 """Largest tension of a stretch, as a fraction of the largest tension.
 
-The tendons that hold the digit open have this tension for seconds. At higher tensions a motor that makes 30 % less
-torque than commanded would be reported as a wrong load cell (T04b) or as an oscillation (N14b).
+The tendons that hold the digit open have this tension for seconds. At higher tensions a motor that
+makes 30 % less torque than commanded would be reported as a wrong load cell (T04b) or as an
+oscillation (N14b).
 """
 PAIR_LOW_FRACTION = 0.07
 """Smallest net tension of a stretched spool pair, as a fraction of the largest tension."""
@@ -68,11 +75,15 @@ SETTLE_S = 0.06
 STRETCHES = 5
 """Number of stretches up and down of each tendon that is not a spool pair."""
 PAIR_STRETCHES = 10
-"""Number of stretches up and down of the spool pairs of a digit. All pairs are stretched at once."""
+"""Number of stretches up and down of the spool pairs of a digit.
+
+All pairs are stretched at once.
+"""
 PAIR_HIGH_FRACTION = 0.65
 """Largest net tension of a stretched spool pair, as a fraction of the largest tension.
 
-Beyond twice the pretension one of the two tendons is slack. This tension must be well beyond that point.
+Beyond twice the pretension one of the two tendons is slack. This tension must be well beyond that
+point.
 """
 
 
@@ -180,9 +191,9 @@ def _balance(hand: Hand, digit: DigitModel) -> Array:
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
     """Return the tensions of the digit at rest, and the tensions before and after each stretch on its lower stops [N].
 
-    All spool pairs are stretched at once. Without spool pairs, all tendons that open the digit are stretched
-    at once. Then each tendon that closes the digit is stretched alone, up to a torque at which the opening
-    tendons still hold the digit open.
+    All spool pairs are stretched at once. Without spool pairs, all tendons that open the digit are
+    stretched at once. Then each tendon that closes the digit is stretched alone, up to a torque at
+    which the opening tendons still hold the digit open.
     """
     floor, largest = _limits(hand, digit)
     if hand.is_pair[digit.tendons].any():

@@ -39,14 +39,15 @@ SCALE_OFFSET_M = 1e-4
 PRIOR = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 100.0}
 """Prior standard deviation of parameters with prior knowledge, divided by the scale of the parameter.
 
-The masses of the links were weighed, so they are well known. The stretch offset is practically unknown.
+The masses of the links were weighed, so they are well known. The stretch offset is practically
+unknown.
 """
 STOP_SOFTNESS = 0.04
 """Compliance of the open stop, as a fraction of the tendon's compliance in the hand file.
 
-Tendon and stop are springs in series, and no measurement separates the two. Therefore this value is an
-assumption with an uncertainty of half the value. In the packaged simulator the compliance of the stops
-at the tendon is 3.8e-7 m/N, which is 0.038 of the tendon's compliance.
+Tendon and stop are springs in series, and no measurement separates the two. Therefore this value is
+an assumption with an uncertainty of half the value. In the packaged simulator the compliance of the
+stops at the tendon is 3.8e-7 m/N, which is 0.038 of the tendon's compliance.
 """
 DEFAULT_PRIOR_DEVIATION = 3.0
 """Prior relative standard deviation of all other parameters.
@@ -60,8 +61,8 @@ DRIFT_KNOT_S = 1.0
 STOP_BIN_S = 0.05
 """Length of bins at the open stop [s].
 
-At the stop the travel changes slowly. In a bin of this length the travel passes enough encoder counts
-for the quantisation to average out.
+At the stop the travel changes slowly. In a bin of this length the travel passes enough encoder
+counts for the quantisation to average out.
 """
 MIN_SCALE = 0.02
 """Lower bound of scaled parameters."""
@@ -131,8 +132,8 @@ class Problem:
             slack=bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
             knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
             sigma=_cell_noise(data.tension[data.slack | stop], hand.sensor_node.tension_noise_N),
-            # The drift is a random walk, whose standard deviation grows with the square root of time.
-            # The hand file has the standard deviation after 100 s.
+            # The drift is a random walk, whose standard deviation grows with the square root of
+            # time. The hand file has the standard deviation after 100 s.
             step=max(hand.sensor_node.tension_bias_drift_N, 1e-3) * (DRIFT_KNOT_S / 100.0) ** 0.5,
         )
 

@@ -5,9 +5,8 @@
 This is the balance of joint i in free motion. The exponent contains the wrap angle and the joint
 angles passed by tendon j up to joint i. The drift of the load cells comes from the fits of the
 tendons. The rows of the fit are torque balances, divided by the noise that the load cells cause in
-them. Errors of the joint encoders are neglected, because they have a tenth of the effect of load-cell
-errors.
-Source: as in `fit_load`.
+them. Errors of the joint encoders are neglected, because they have a tenth of the effect of
+load-cell errors. Source: as in `fit_load`.
 """
 
 from collections.abc import Sequence

@@ -7,10 +7,10 @@ At the open stop only the tendon stretches: f = k (x - o). In free motion each j
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 
 and the joints' excursions and the tendon's stretch add up to the travel: sum r_i q_i + f / k = x -
-o. If a moment arm depends on the joint angle, its integral replaces r_i q_i. The equations are solved
-for f, because the noise of the encoder is negligible compared with the noise of the load cell. S, P, m
-scale springs, preloads and masses of the hand file.
-Source: capstan equation, virtual work, equations of motion of `hand.dynamics`.
+o. If a moment arm depends on the joint angle, its integral replaces r_i q_i. The equations are
+solved for f, because the noise of the encoder is negligible compared with the noise of the load
+cell. S, P, m scale springs, preloads and masses of the hand file. Source: capstan equation, virtual
+work, equations of motion of `hand.dynamics`.
 """
 
 from dataclasses import dataclass

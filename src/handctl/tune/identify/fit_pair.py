@@ -4,14 +4,14 @@
     F = n(load; p, mu)                                     free motion
     g(F; k, p) = x - m s(q) - o                            on a stop, and in free motion
 
-F is the net tension at the spool. In free motion F balances n, which has inertia, weight and damping of
-the links and the friction of both tendons. The stretch of the pair is the difference between spool and
-joints. It follows from F by the characteristic g: the stiffness is 2 k while both tendons are taut, and k
-beyond twice the pretension p.
+F is the net tension at the spool. In free motion F balances n, which has inertia, weight and
+damping of the links and the friction of both tendons. The stretch of the pair is the difference
+between spool and joints. It follows from F by the characteristic g: the stiffness is 2 k while both
+tendons are taut, and k beyond twice the pretension p.
 
-No sensor of a spool pair measures a force, so the torque of the drive is the unit of all forces. If a motor
-makes 10 % less torque than commanded, then its inertia, its friction and the stiffness of its tendons seem
-10 % larger.
+No sensor of a spool pair measures a force, so the torque of the drive is the unit of all forces. If
+a motor makes 10 % less torque than commanded, then its inertia, its friction and the stiffness of
+its tendons seem 10 % larger.
 """
 
 from collections.abc import Sequence
@@ -48,25 +48,26 @@ PAIR_PARAMETERS = (
 )  # fmt: skip
 """Names of the parameters of this fit.
 
-Two more parameters follow: link inertia missing from the model, and the time difference of the encoders.
+Two more parameters follow: link inertia missing from the model, and the time difference of the
+encoders.
 """
 PAIR_PRIOR = {
     "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "tendon_stiffness": 1.0, "stretch_offset": 100.0,
 }  # fmt: skip
 """Prior standard deviation of parameters, divided by the scale of the parameter.
 
-The masses of the links were weighed, but in the units of this fit they are divided by the torque gain.
-The damping of a joint and the viscous friction of its motor have the same effect. Without a prior for the
-pretension, a pair with two taut tendons could not be distinguished from a pair of twice the stiffness with
-one slack tendon.
+The masses of the links were weighed, but in the units of this fit they are divided by the torque
+gain. The damping of a joint and the viscous friction of its motor have the same effect. Without a
+prior for the pretension, a pair with two taut tendons could not be distinguished from a pair of
+twice the stiffness with one slack tendon.
 """
 PAIR_MODEL_ERROR = {
     "motor_coulomb": 0.025, "capstan": 0.03, "pretension": 0.03, "tendon_stiffness": 0.01,
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
 
-The data separate the friction of the motor poorly from the friction of the tendons. The values were chosen
-with five simulated hands.
+The data separate the friction of the motor poorly from the friction of the tendons. The values were
+chosen with five simulated hands.
 """
 LOAD_INERTIA_SIGMA = 0.05
 """Standard deviation of the link inertia missing from the model, as a fraction of the rotor's inertia.
@@ -98,7 +99,8 @@ class PairWindows:
         angle: wrap angle of the pair [rad].
         developed: fraction of the friction of the tendons that is developed, with its sign.
         travel: mean travel at the times of the joint readings [m].
-        excursion: mean excursion at the joint readings by the hand file [m], NaN with too few readings.
+        excursion: mean excursion at the joint readings by the hand file [m], NaN with too few
+            readings.
         readings: number of joint readings.
     """
 
@@ -169,7 +171,8 @@ def _joint_motion(
 ) -> tuple[Array, Array, Array]:
     """Return angles, rates and accelerations (m, joints) of a digit from the travels of its pairs (n_t, 3, m).
 
-    The stretch of the tendons is neglected. The mean difference from the joint readings is subtracted.
+    The stretch of the tendons is neglected. The mean difference from the joint readings is
+    subtracted.
     """
     travel, speed, acceleration = (means[:, i].T for i in range(3))
     back = digit.excursion_to_joints.T
@@ -191,8 +194,8 @@ def _stretch_readings(
 ) -> tuple[Array, Array, Array]:
     """Return travel and excursion (m,) of windows at the times of the joint readings [m], and the number of readings.
 
-    While a pair is stretched on a stop, its travel changes and its excursion does not. For such a window
-    the travel is averaged over all samples instead.
+    While a pair is stretched on a stop, its travel changes and its excursion does not. For such a
+    window the travel is averaged over all samples instead.
     """
     read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
     excursion = np.where(read, excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
@@ -348,8 +351,8 @@ def _start(windows: PairWindows) -> Array:
 def _start_candidates(first: Array) -> list[Array]:
     """Return initial parameters with several pretensions.
 
-    If the initial pretension is too small, the solver may reach a pair with a slack tendon and twice the
-    stiffness. No small step leads from this solution to the right parameters.
+    If the initial pretension is too small, the solver may reach a pair with a slack tendon and
+    twice the stiffness. No small step leads from this solution to the right parameters.
     """
     starts = []
     for factor in START_FACTORS:

@@ -2,10 +2,10 @@
 
     x = m s(q) + f / k + o(t) + d x'
 
-The travel x of the spool is the sum of the joints' excursion s(q) and the tendon's stretch f / k. m scales
-the moment arms of the hand file. Joint encoders are read somewhat later or earlier than motor
-encoders, which adds d x' while the joints move. The offset o follows the drift of the load cell. The
-equation does not depend on stops or springs.
+The travel x of the spool is the sum of the joints' excursion s(q) and the tendon's stretch f / k. m
+scales the moment arms of the hand file. Joint encoders are read somewhat later or earlier than
+motor encoders, which adds d x' while the joints move. The offset o follows the drift of the load
+cell. The equation does not depend on stops or springs.
 """
 
 from dataclasses import replace
@@ -27,15 +27,18 @@ from handctl.tune.identify.fit import (
 from handctl.tune.identify.solve import solve_least_squares
 
 TRAVEL_PARAMETERS = ("tendon_stiffness", "moment_arm")
-"""Names of the parameters of this fit. The time difference of the encoders and the offset follow."""
+"""Names of the parameters of this fit.
+
+The time difference of the encoders and the offset follow.
+"""
 TRAVEL_MODEL_ERROR = {
     "tendon_stiffness": 0.012, "moment_arm": 0.0003, "torque_gain": 0.006, "motor_inertia": 0.008,
     "motor_coulomb": 0.008, "motor_viscous": 0.03,
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
 
-The intervals are computed from blocks of time, which are too short to show the slow drift of the load cell.
-The values were chosen with five simulated hands.
+The intervals are computed from blocks of time, which are too short to show the slow drift of the
+load cell. The values were chosen with five simulated hands.
 """
 SKEW_S = 1e-3
 """Scale and prior standard deviation of the time difference of the encoders [s]."""

@@ -181,8 +181,9 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Fi
 def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
     """Return a result with information about contacts that make parameters invalid.
 
-    The controller uses the springs of the hand file. If the real springs are a third stiffer, the controller
-    reports an obstacle. Therefore its event is ignored if the fit explains the whole sweep.
+    The controller uses the springs of the hand file. If the real springs are a third stiffer, the
+    controller reports an obstacle. Therefore its event is ignored if the fit explains the whole
+    sweep.
     """
     contact = contact_text(hand, result)
     ramp = result.fit.ramp

@@ -105,7 +105,8 @@ def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, 
     Satterthwaite's degrees of freedom with their working model.
     """
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    # The priors are exact by definition, so their rows enter the middle of the sandwich without correction.
+    # The priors are exact by definition, so their rows enter the middle of the sandwich without
+    # correction.
     middle = jacobian[len(times) :].T @ jacobian[len(times) :]
     expected = [np.diag(plain @ middle @ plain)]
     for rows in _block_rows(times):

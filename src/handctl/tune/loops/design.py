@@ -3,10 +3,10 @@
 Authority is the parameter of LQR that this design varies: the force that has the same weight as the
 errors of Bryson's rule. More authority makes a loop faster and its margins smaller. Therefore
 authority is increased until a margin would become too small, for each tendon alone. The smallest
-authority of all tendons becomes ``force_N``. A tendon that permits more than twice this authority gets
-a separate force, so that a heavy digit, such as a wrist, does not make light digits slow. Reported
-margins are confirmed by the closed loop's eigenvalues. Designed gains are confirmed by a function of
-the caller, such as a simulation.
+authority of all tendons becomes ``force_N``. A tendon that permits more than twice this authority
+gets a separate force, so that a heavy digit, such as a wrist, does not make light digits slow.
+Reported margins are confirmed by the closed loop's eigenvalues. Designed gains are confirmed by a
+function of the caller, such as a simulation.
 
 Poles: for a plant with one input and weights on position and speed, the closed loop's
 characteristic polynomial d satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
@@ -264,7 +264,10 @@ def _each_margin(
     judge: Callable[[System], Margins] = margins_of_loop,
     tendons: Iterable[int] | None = None,
 ) -> Iterator[Margins]:
-    """Yield the margins of each loop, tendon, and plant. Without `tendons`, one tendon of each kind is used."""
+    """Yield the margins of each loop, tendon, and plant.
+
+    Without `tendons`, one tendon of each kind is used.
+    """
     for kind in kinds:
         for i in distinct_tendons(model) if tendons is None else tendons:
             loop_controller = controller_system(model, i, kind)
@@ -327,8 +330,8 @@ def design_gains(
                     after,
                 )
             unproven = unproven or after.are_sufficient
-        # Less disturbance rejection changes a single term. If gains do not come to rest, another term
-        # is the cause.
+        # Less disturbance rejection changes a single term. If gains do not come to rest, another
+        # term is the cause.
         if unproven:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
@@ -406,7 +409,8 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
             best = middle
         else:
             high = middle
-    # Eigenvalues and a fine response may give smaller margins than the coarse response of the search.
+    # Eigenvalues and a fine response may give smaller margins than the coarse response of the
+    # search.
     for _ in range(MAX_REDUCTIONS):
         tried = _with_force(model, kind, _rounded_force(best))
         if all(margin.are_sufficient for margin in _each_margin(tried, plants, (kind,), confirmed_margins, (tendon,))):

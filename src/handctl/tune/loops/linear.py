@@ -207,8 +207,8 @@ def open_loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFacto
 def join_to_open_loop(P: System, K: System) -> System:
     """Return the open loop of a plant and a controller, broken at the motor force.
 
-    The output is the force commanded by the controller, with reversed sign. Therefore the margins are computed
-    from 1 + L.
+    The output is the force commanded by the controller, with reversed sign. Therefore the margins
+    are computed from 1 + L.
     """
     K = _without_constants(K)
     p = len(P.A)
@@ -381,8 +381,8 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
 def _half_closed(digit: DigitModel) -> Matrix:
     """Return the coordinates (n_c,) of a digit with all joints inside their ranges [rad].
 
-    All joints are at `OPERATING_ANGLE_RAD` if the coupling allows this. Otherwise the point farthest from all
-    limits is used.
+    All joints are at `OPERATING_ANGLE_RAD` if the coupling allows this. Otherwise the point
+    farthest from all limits is used.
     """
     low = digit.joint_min
     high = digit.joint_max

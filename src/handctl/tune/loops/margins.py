@@ -52,8 +52,8 @@ class Margins:
     """Margins of a loop.
 
     Attributes:
-        gain_db: largest factor by which the loop's gain may rise or fall, the smaller of the two [dB].
-            Zero if the loop is unstable.
+        gain_db: largest factor by which the loop's gain may rise or fall, the smaller of the two
+            [dB]. Zero if the loop is unstable.
         phase_deg: smallest difference of the phase from -180 degrees where the gain is one [deg].
         disk: balanced disk margin, 0 for an unstable loop, 2 at most.
         delay_s: largest additional delay for a stable loop [s].

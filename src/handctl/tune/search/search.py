@@ -3,8 +3,8 @@
 Optuna is asked for trials in fixed batches, and their scores are reported in order. Each batch has
 its own sampler, seeded by the study's seed and the batch's number. Therefore the result does not
 depend on the number of processes, and an interrupted study can be resumed. If all trials of a batch
-were requested from Optuna, the study resumes with the trials that have no score. Otherwise the batch is
-requested again.
+were requested from Optuna, the study resumes with the trials that have no score. Otherwise the
+batch is requested again.
 """
 
 import fcntl
@@ -259,8 +259,8 @@ def _run_batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[S
 def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
     """Return the trials of the present batch that have no result yet.
 
-    A whole batch is requested from Optuna before its first score is reported. Therefore a longer or a
-    resumed search has the same trials as a single run.
+    A whole batch is requested from Optuna before its first score is reported. Therefore a longer or
+    a resumed search has the same trials as a single run.
     """
     from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState

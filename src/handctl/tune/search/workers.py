@@ -67,7 +67,8 @@ class ProcessPool:
         # Each worker uses one core. Threads of the numerical libraries would compete for the cores.
         environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         command = [sys.executable, "-m", "handctl.tune.search.worker"]
-        # In a separate session the worker does not receive the terminal's Ctrl-C, also during its imports.
+        # In a separate session the worker does not receive the terminal's Ctrl-C, also during its
+        # imports.
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
