@@ -76,7 +76,7 @@ def test_a_recorder_that_does_not_start_in_time_is_named(
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
     monkeypatch.setattr("handctl.log.write.child.sys.executable", str(python))
-    monkeypatch.setattr("handctl.log.write.recorder.START_S", 0.2)
+    monkeypatch.setattr("handctl.log.write.recorder.START_TIMEOUT_S", 0.2)
     with pytest.raises(LogError, match=r"has not started within 0\.2 s; expected a computer with less other load"):
         start()
 
