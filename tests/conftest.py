@@ -70,7 +70,8 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 class Repeats:
     """Plugin that repeats a failed test on the real clock if the machine stalled during it. Three tries at most.
 
-    Where a test slows time, each try slows it more (``slower``). A stall then matters less, a defect as much.
+    Where a test slows time, each try slows it more (``slower``). In slower time a stall has less
+    effect, and a defect has the same effect.
 
     Attributes:
         stalls: repeated tests, and the longest stall during each [s].

@@ -36,7 +36,7 @@ def test_missing_interface_finding_has_the_set_up_command(capsys, words, said):
 
 
 def test_an_odrive_with_firmware_05_is_found(capsys):
-    """Regression: its version was requested, which it does not have, so a healthy drive was reported as missing."""
+    """Regression: the doctor requested a version, which firmware 0.5 does not report, and the drive was missing."""
     with drives("local:d", "odrive", "--ids", "3", "--firmware", "0.5"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 0
     assert "odrive 3 answers 20 of 20" in capsys.readouterr().out

@@ -19,7 +19,7 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     (bus,) = result["buses"]
     assert bus["tick_us"] == pytest.approx(4 * 270 + 125 + 65, rel=0.001), "commands, answers, tensions, SYNC"
     read_again = 4 * 2 * 135e-6 * 2.0
-    """A setting of each drive is read again twice a second: a question and an answer of 135 us."""
+    """A setting of each drive is read twice a second, with a request and a reply of 135 us each."""
     assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + read_again)
 
 
@@ -71,8 +71,7 @@ VCAN_TABLE = [
     ("ODrive, torque and encoder", False, 4, 1055, (26, 53, 106), 758),
     ("ODrive, with torque feedback", False, 4, 1755, (44, 88, 176), 456),
 ]
-"""Microseconds a tick, load in percent at 250, 500, 1000 Hz, and the rate at 80 %, as they were counted
-for this project before it began."""
+"""Microseconds per tick, load in percent at 250, 500, 1000 Hz, and the rate at 80 %, calculated without handctl."""
 
 
 @pytest.mark.parametrize(("protocol", "fd", "motors", "tick_us", "loads", "most"), VCAN_TABLE)

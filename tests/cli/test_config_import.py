@@ -27,7 +27,7 @@ from tests.cli.refused import refused, refused_lines
 from tests.conftest import NIGHTLY
 
 TRIPOD = Path(__file__).with_name("tripod.urdf")
-"""Hand of a stranger: other frames, missing meshes, joints that flex towards negative angles."""
+"""Description of a hand with other frames, missing meshes, and joints that flex towards negative angles."""
 ANSWERS = ["--tendons", "one", "--pulley", "6", "--spool", "8", "--tension", "80", "--strength", "600"]
 ANSWERS += ["--cells", "all", "--encoders", "none", "--protocol", "mit", "--first-node", "1"]
 MEASURED = {
@@ -54,7 +54,7 @@ MEASURED = {
     "position_range_rad": "12.5",
     "velocity_range_rad_s": "50.0",
 }
-"""What a person measures of the tripod. The description lacks it, and no option answers it."""
+"""Measured values of the tripod, which neither the description nor an option contains."""
 JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_preload_rad")
 """Keys of a digit that an exported URDF lacks."""
 FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}

@@ -110,7 +110,7 @@ MISTAKES = {
         "bus[main].data_bitrate: 500000; expected at least bitrate = 1000000",
     ),
 }  # fmt: skip
-"""Text of jamia11, what a person wrote instead, and the beginning of the line."""
+"""Text of jamia11, the wrong text in its place, and the beginning of the error line."""
 
 
 def write_changed_jamia11(place: Path, *edits: tuple[str, str]) -> None:

@@ -1,6 +1,6 @@
 """Every key of every input file with every kind of bad value: one line, exit code 2, no bus opened.
 
-A share of them in every run, all of them in the night.
+Ordinary runs test a sample, nightly runs test all cases.
 """
 
 import os
@@ -33,14 +33,17 @@ NEVER = {
     "text": "12",
     "list": [[1.0]],
 }
-"""In the place of a number these are wrong whatever the number."""
+"""Values that are wrong in the place of any number."""
 PERHAPS = {
     "-0.0": lambda x: -0.0,
     "negative": lambda x: -abs(x),
     "x1000": lambda x: 1000 * x,
     "/1000": lambda x: x / 1000,
 }
-"""These may be in range, as a friction of a thousandth is; what is refused is refused by its key."""
+"""Changes of a number after which it may still be in range.
+
+If the value is refused, the line names its key.
+"""
 KEYS = ("missing", "renamed", "twice")
 
 

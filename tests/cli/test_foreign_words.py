@@ -183,7 +183,7 @@ def test_a_name_and_a_note_are_escaped_where_all_is_well(place, capsys):
 
 
 WIDE = {"hex": "0x" + "f" * 5000, "decimal": "9" * 5000, "65 bits": str(2**64), "in a list": f"[1, [{2**64}]]"}
-"""Numbers that cannot be printed, or that TOML does not promise to hold."""
+"""Numbers that cannot be printed, or that are beyond the range of TOML."""
 
 
 @pytest.mark.parametrize("number", WIDE)

@@ -8,7 +8,7 @@ from handctl.session.verdict import _copy_truth
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
 FULL = Path("/dev/full")
-"""A device that takes nothing, as a full disk does."""
+"""A device that accepts no byte, like a full disk."""
 TASK = """schema = 1
 name = "short"
 [[phase]]

@@ -167,7 +167,7 @@ def test_set_on_a_running_hand_is_in_its_log(place, slower):
             assert run.wait(30.0) == 0
         finally:
             hand.terminate()
-    # An attempt that waited in vain for a controller that was still starting may have been taken after all.
+    # A request without an answer from a starting controller may be executed later.
     assert json.loads(said.stdout)["set"] in ({"motion.force_N": "26.0"}, {})
     with RunLog(log) as record:
         events = [event.event for event in record.events if event.event.name == "gain"]

@@ -26,7 +26,7 @@ CASES = [
     if tendons == "one" or "," in links
 ]
 SAMPLE = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1)]
-"""Both dropped the cylinder when it was of one size for all hands, and tips met."""
+"""Regression: both hands dropped the cylinder, because its size did not depend on the hand and fingertips met."""
 MAX_SLIP_MM = 5.0
 
 

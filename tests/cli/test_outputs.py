@@ -14,7 +14,7 @@ from handctl.output import atomic_path, save_figure, write_text_atomically
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
 FULL = Path("/dev/full")
-"""A device that takes nothing, as a full disk does."""
+"""A device that accepts no byte, like a full disk."""
 FORMATS = ("csv", "candump", "parquet", "rrd", "lerobot")
 LOG = str(GOLDEN)
 NOWHERE = {

@@ -1,4 +1,4 @@
-"""The advice to slow time is shown only for a simulated hand that does not keep up."""
+"""The advice to slow down time is shown only for a simulated hand that is too slow."""
 
 from types import SimpleNamespace
 from typing import cast

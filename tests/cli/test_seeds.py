@@ -11,7 +11,7 @@ from handctl.hand.load import packaged_hands
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 CASES = [(hand, protocol, seed) for hand in packaged_hands() for protocol in ALL_PROTOCOLS for seed in range(20)]
 SAMPLE = [("jamia11", "mit", 7), ("t42", "mit", 3)]
-"""The first one ended with N04 in commissioning, the second has two digits.
+"""Regression: the first case ended with N04 in commissioning. The second hand has two digits.
 
 tests/runtime/test_lockstep_again.py has a second run of CiA 402 drives.
 """

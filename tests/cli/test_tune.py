@@ -372,7 +372,7 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
 
 @pytest.mark.nightly
 def test_what_was_identified_in_lockstep_is_tuned_verified_and_applied_in_lockstep(place, capsys):
-    """Each command is the one that the verb before has printed, with less work."""
+    """Each command is the next command that the previous verb has printed, with fewer trials."""
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0
     words = next_command(capsys.readouterr().out)

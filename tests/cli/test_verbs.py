@@ -20,7 +20,7 @@ GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 HEAVY = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
-"""What takes so long to import that a help would be waited for."""
+"""Modules whose import would delay a help noticeably."""
 
 
 def test_help_imports_nothing_that_only_a_run_needs():

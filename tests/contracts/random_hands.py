@@ -31,9 +31,12 @@ from handctl.programs.live import LiveProgram
 RATE_HZ, TICKS = 200.0, 40
 """Ticks of one hand."""
 FREE_TICKS = 10
-"""The last ticks, in which faults may end the motion. Before them the hand is held active."""
+"""Number of ticks at the end, in which faults may end the motion.
+
+Before, the hand is kept active.
+"""
 LOST, DOUBLE, BROKEN, SKIPPED = 0.03, 0.02, 0.02, 0.03
-"""Fractions of frames that are lost, come twice or have another payload, and of ticks that are skipped."""
+"""Fractions of frames that are lost, duplicate or corrupt, and fraction of ticks that are skipped."""
 BUSES, ON_A_BUS = ("main", "second"), 12
 CARRIED = 0.3
 """Fraction of digits that the digit before carries."""
@@ -123,7 +126,7 @@ def _digit(finger: dict[str, Any], name: str, size: int, coupled: bool, random: 
 
 
 def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> bytes:
-    """Return the payload of a message. A status is spread over its signals, the first one highest."""
+    """Return the payload of a message. The first signal of a status has its highest bits."""
     values, left = [], sum(one.length for one in message.signals if one.quantity == Quantity.STATUS)
     for signal in message.signals:
         if signal.quantity == Quantity.UNUSED:

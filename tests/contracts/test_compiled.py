@@ -207,7 +207,7 @@ def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path:
 
 
 def test_two_installations_of_one_version_store_their_code_apart(copy: Path, tmp_path: Path) -> None:
-    """Otherwise the code of one would count for the other, which would then compile with one core."""
+    """In a common folder, the code of one installation could be loaded by the other installation."""
     cache, other = tmp_path / "cache", tmp_path / "other" / copy.name
     shutil.copytree(copy, other)
     for package in (copy, other):
@@ -230,7 +230,7 @@ def test_without_a_writable_cache_each_process_compiles(copy: Path, tmp_path: Pa
 
 
 class Origins:
-    """The modules of this package whose text can change a kernel: where its names are defined, and theirs in turn."""
+    """Modules of this package whose text can change a kernel: they define its names, directly or indirectly."""
 
     def __init__(self) -> None:
         """Start without a module."""

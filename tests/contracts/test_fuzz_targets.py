@@ -82,4 +82,4 @@ def test_fuzzing_without_an_accepted_input_is_a_failure(tmp_path: Path, monkeypa
         monkeypatch.setattr(subprocess, "run", lambda *words, done=done, **more: done)
         line, good = fuzzed("log", 0, 256, blind=True)
         assert good == accepted
-        assert ("25.0 % taken" in line) == accepted
+        assert ("25.0 % accepted" in line) == accepted

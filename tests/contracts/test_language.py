@@ -1,4 +1,4 @@
-"""The gate on dialect counts what it says, and its limits only fall."""
+"""The check of the language counts as its documentation says, and its limits can only be lowered."""
 
 import importlib.util
 import sys

@@ -10,7 +10,10 @@ Graph = dict[str, set[str]]
 
 
 def modules() -> dict[str, Path]:
-    """Return every module of the two packages with its file. Packages hold no code."""
+    """Return every module of the two packages with its file.
+
+    The files of packages (`__init__.py`) contain no code.
+    """
     files = {}
     for package in (ROOT / "src" / "handctl", ROOT / "firmware_sim"):
         for path in package.rglob("*.py"):

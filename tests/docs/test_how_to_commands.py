@@ -1,6 +1,6 @@
 """The command blocks of README, How-to and the page of tasks run as well, beside a simulated hand where they need one.
 
-The pages speak of files and hands of the reader. A test puts packaged ones in their place.
+The pages use files and hands of the reader. A test replaces them by packaged files and hands.
 """
 
 import re
@@ -34,7 +34,7 @@ BESIDE = {
         "python -m firmware_sim drive odrive --ids 3 --bus local:can1",
     ),
 }
-"""What stands for the hardware of a page."""
+"""Simulators that replace the hardware of a page."""
 ANSWERED = {"how-to/drive-modes.md": ("handctl jog ", "handctl jog --yes ")}
 """Commands that ask before they move, with the answer."""
 STIFFER = "schema = 1\n\n[motion]\nforce_N = 16.0\n\n[tension]\nintegral_per_s = 4.0\n"
@@ -93,7 +93,7 @@ def test_the_uses_in_the_readme_run() -> None:
     assert len(simulators) == 1
     assert len(lines) == 6
     commands = [Block("sh", "", line) for line in lines if line.strip() not in simulators]
-    # As the README advises for a slow machine: beside other work, this one is.
+    # The README advises this for a slow machine, and a machine that also runs other tests is slow.
     run_blocks(commands, partial(prepare, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"])
 
 

@@ -45,7 +45,7 @@ def report():
 
 
 def test_a_load_cell_fails_only_where_one_is():
-    """The campaign asked the simulator to saturate the load cell of a spool pair, and ended with its traceback."""
+    """Regression: the campaign requested a saturated load cell for a spool pair, and ended with a traceback."""
     for hand in (on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
         found = [*scenarios(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]

@@ -30,11 +30,11 @@ FAULTS = (
 )  # fmt: skip
 RATE_HZ = {"jamia": 500.0, "jamia11": 250.0}
 WINDOW_S = 0.06
-"""Time for which a command may still be on its way to a motor that obeys late [s]."""
+"""Longest time from a command to its execution by a motor with delay [s]."""
 ROUNDED_N = 0.05
-"""Half a step of a torque of twelve bits at the tendon, by which a drive may round a command up [N]."""
+"""Largest increase of a command by its rounding to twelve bits, at the tendon [N]."""
 MARGIN_N = 3.0
-"""Capstan friction and contacts, which the bound does not have [N]."""
+"""Margin for capstan friction and contacts, which the bound neglects [N]."""
 
 
 class Instant(NamedTuple):
@@ -88,7 +88,7 @@ def test_relaxing_raises_no_command_and_no_tension(hand_name: str, protocol: str
 
 def judge(simulation: Simulation, stop_at: int, window: int, fault: str) -> None:
     recent: list[Instant] = [look(simulation)]
-    # Commands before the decision count: one may still be on its way to a motor with delay.
+    # Earlier commands are included, because a motor with delay may execute them after the decision.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == Mode.ACTIVE:
         simulation.tick(requests=(STOP,) if simulation.k == stop_at else ())
@@ -112,7 +112,8 @@ def judge(simulation: Simulation, stop_at: int, window: int, fault: str) -> None
         now = look(simulation)
         peak = np.maximum(peak, now.tension)
         force = np.maximum(force, now.force)
-    # No drive makes more force than before the decision, also one that makes more than its command.
+    # No drive makes more force than before the decision. This holds also if it makes more than its
+    # command.
     assert (force <= np.maximum(before, 0.0) + ROUNDED_N).all(), f"{fault}: {force} after {before}"
     bound = tension_bound(simulation, decided, before)
     assert (peak <= bound).all(), f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"
@@ -123,7 +124,7 @@ def judge(simulation: Simulation, stop_at: int, window: int, fault: str) -> None
 @pytest.mark.parametrize("fault", ["cross node=index_motor with=middle_motor", "late node=index_motor size=25"])
 @pytest.mark.parametrize("seed", range(20) if NIGHTLY else [0])
 def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_digit(fault: str, seed: int) -> None:
-    """It began at the last command of an unstable loop: at 160 N on a slack tendon, which then had 317 N."""
+    """Regression: relaxing began at the last command of an unstable loop, 160 N, and a slack tendon reached 317 N."""
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden.task()) as simulation:
         free_ticks = 0

@@ -1,4 +1,4 @@
-"""The rope and its pulleys against the formulas of the model, computed here in another way."""
+"""The tendon and its pulleys against the formulas of the model, computed independently."""
 
 import math
 
@@ -108,7 +108,7 @@ def test_friction_grows_with_speed_as_tanh() -> None:
 
 @given(st.floats(-0.2, 0.2), st.lists(st.floats(0.0, 1.7), min_size=3, max_size=3))
 def test_friction_dissipates_energy_and_the_slope_matches(speed: float, q: list[float]) -> None:
-    """The rope's friction power is never positive, and ``slope`` covers the loss at every pulley."""
+    """The friction power of the tendon is never positive, and ``slope`` covers the loss at every pulley."""
     dq = [speed / 0.009] * 3
     torque = [0.0] * 3
     tendon = make_tendon()

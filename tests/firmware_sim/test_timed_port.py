@@ -1,4 +1,4 @@
-"""A local bus with a wire: clients of handctl's own bus on one side, a simulated hand on the other, time by hand."""
+"""A local bus with a wire on a manual clock: clients of handctl on one side, a simulated hand on the other."""
 
 import select
 from collections.abc import Iterator

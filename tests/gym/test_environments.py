@@ -45,7 +45,7 @@ def closing(env: Any, step: int) -> Any:
 
 
 def episode(env: Any, seed: int, steps: int) -> bytes:
-    """Return all that random actions of a seed show."""
+    """Return the observations and rewards of random actions as bytes."""
     rng = np.random.default_rng(seed)
     seen, _ = env.reset(seed=seed)
     rows = [seen.tobytes()]
@@ -135,7 +135,7 @@ def test_a_fault_ends_an_episode() -> None:
 
 
 def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
-    """20 seeds: the hand obeys no target blindly, and the tensions stay within their limits."""
+    """The targets of 20 seeds are limited, and the tensions stay within their limits."""
     env = make(TRACK, duration_s=1.0)
     limit = max(tendon.tension_max_N for tendon in env.hand.tendon)
     for seed in range(20):

@@ -1,4 +1,4 @@
-"""Hands of random chains: axes, orientations, lengths, masses and inertia by chance."""
+"""Hands of random chains: axes, orientations, lengths, masses and inertia are random."""
 
 from typing import Any
 

@@ -12,7 +12,10 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 
 SPATIAL = ("orca_like",)
-"""Packaged hands of spatial chains on a wrist. ``test_chains`` has them beside random trees."""
+"""Packaged hands of spatial chains on a wrist.
+
+``test_chains`` tests these hands together with random trees.
+"""
 
 
 @pytest.fixture(params=[name for name in packaged_hands() if name not in SPATIAL])

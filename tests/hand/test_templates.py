@@ -25,9 +25,9 @@ IDENTITIES = {
 }
 """Identities of the packaged hands when their files were of schema 1. Calibrations and logs refer to them."""
 LINES = 120
-"""Lines of a packaged hand file at most."""
+"""Largest number of lines of a packaged hand file."""
 LONG = {"orca_like": 175}
-"""The same of a file for 17 joints whose digits are of three kinds."""
+"""Largest number of lines of a file for 17 joints with three kinds of digits."""
 
 
 def jamia() -> dict[str, Any]:

@@ -15,7 +15,7 @@ PYTHON = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
 INSTALL_S = 3600.0
 TESTS_S = 1800.0
 TESTS = 13
-"""Fewest tests that must pass, so that none is skipped in silence."""
+"""Smallest number of tests that must pass, so that no skipped test goes unnoticed."""
 
 
 def pip(python: str, *words: str) -> None:

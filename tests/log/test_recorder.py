@@ -273,7 +273,10 @@ def test_a_file_that_cannot_be_created_is_refused(start: Callable[..., Recorder]
 
 
 LIMIT_BYTES = 800_000
-"""Of a file, as a full disk would set it: some chunks of these runs, and not the whole."""
+"""Largest size of a file, which simulates a full disk [bytes].
+
+Some chunks of these runs fit, but not all.
+"""
 
 
 def _readable_prefix(path: Path, fed: int) -> None:
@@ -372,7 +375,10 @@ def test_recording_a_tick_is_fast(start: Callable[..., Recorder]) -> None:
 
 
 def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
-    """A run waits for its recorder. It once imported numba, llvmlite and scipy for one test of a text."""
+    """A run waits for its recorder.
+
+    Regression: the recorder imported numba, llvmlite and scipy to check a single text.
+    """
     run = lively.header()
     path = tmp_path / "run.mcap"
     recorder = Recorder.start(path, run, 1)

@@ -23,7 +23,7 @@ MOVE = '[[phase]]\nkind = "move"\nname = "move {n}"\nangle_deg = {angle:.3f}\ndu
 
 @dataclass
 class Lossy:
-    """A peer that loses one reply in two hundred, and sometimes the replies of two ticks: less than ends a run."""
+    """A peer that loses one reply in two hundred, and sometimes the replies of two ticks, which does not end a run."""
 
     peer: Peer
     chance: random.Random = field(default_factory=lambda: random.Random(6))

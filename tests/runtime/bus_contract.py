@@ -19,11 +19,11 @@ FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 @dataclass
 class Medium:
-    """One CAN bus that several can be opened on.
+    """CAN bus on which several nodes can be opened.
 
     Attributes:
         spec: for ``open_bus``.
-        opened: what has to be closed after the test.
+        opened: nodes to close after the test.
     """
 
     spec: str

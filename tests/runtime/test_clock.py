@@ -16,7 +16,7 @@ PERIOD = 2_000_000
 
 
 class Wall:
-    """A simulated CLOCK_MONOTONIC. Sleeping advances it, with an overshoot."""
+    """A simulated CLOCK_MONOTONIC. A sleep advances this clock by its duration and an overshoot."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot: int = 0) -> None:
         self.now = 5_000_000_000

@@ -16,7 +16,10 @@ from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 ROOM = "96m"
-"""More than the recorder wants to stay free, so that the run begins as usual."""
+"""Size of the disk.
+
+It exceeds the free space at which the recorder ends a log, so that the run begins as usual.
+"""
 
 
 @pytest.fixture

@@ -67,7 +67,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrat
 
 @REALTIME
 def test_only_one_of_several_clients_commands_the_hand(live):
-    """Regressions: a client that left stopped the hand, and two threads heard nothing of their moves."""
+    """Regressions: a client that left stopped the hand, and two threads got no results of their moves."""
     live.move(index=10.0, duration_s=0.3)
     with library.connect("jamia", BUS) as other:
         assert other.observe().mode == "ACTIVE"

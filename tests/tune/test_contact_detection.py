@@ -1,4 +1,4 @@
-"""Contact in the sweeps of a digit: detected by its fit, and the spoilt parameters are not kept."""
+"""Contact in the sweeps of a digit: detected by its fit, and the affected parameters are not kept."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
 
 
 def identify_touching_finger(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, TendonResult]:
-    """Identify a middle finger that meets the thumb."""
+    """Identify a middle finger that touches the thumb."""
     path = with_near_thumb(hand, thumb_mm, folder)
     found, row = excite_and_fit(path, "middle", seed, {"spring": SPRING}, Gains(), folder)
     assert "failure" not in row
@@ -72,7 +72,7 @@ def test_a_digit_that_touches_nothing_is_kept(tmp_path: Path, hand: str, seed: i
 
 
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
-    """The controller alone reports an obstacle, by the hand file's springs and with detuned gains."""
+    """Only the controller reports an obstacle, because it uses the hand file's springs and detuned gains."""
     found, row = excite_and_fit("jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path)
     assert "failure" not in row
     one = found["index_tendon"]

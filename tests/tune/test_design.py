@@ -29,7 +29,7 @@ from tests.conftest import NIGHTLY
 MANY_PLANTS = 8
 """Number of plants of the default ensemble of `tune design`."""
 FEW_PLANTS = 2
-"""Number of plants for a hand with many unlike tendons, except at night."""
+"""Number of plants for a hand with many different tendons, except in nightly runs."""
 
 
 @pytest.mark.parametrize("name", packaged_hands())

@@ -84,7 +84,7 @@ def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
 
 
 def test_the_load_model_balances_every_joint() -> None:
-    """Put the returned tension into the joints' balance, solved in another way."""
+    """Check the balance of the joints with the computed tension."""
     digit = DigitModel.of(load_hand("jamia"), "index")
     load = DigitLoad.of(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)

@@ -22,9 +22,12 @@ from handctl.tune.identify.identifiability import unobservable_parameters
 SEEDS = range(20)
 HANDS = ("n_plus_1", "orca_like")
 COVERED = 0.9
-"""Share of all true values that must be inside their intervals. 95 % are expected."""
+"""Smallest fraction of all true values inside their intervals. The expected value is 0.95."""
 COVERED_OF_EACH = 0.8
-"""The same share of each parameter. Each has some 40 to 70 values."""
+"""Smallest fraction of the true values of a single parameter inside their intervals.
+
+There are 40 to 70 values.
+"""
 OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
 """Parameters that every spool pair of the packaged hand shows."""
 

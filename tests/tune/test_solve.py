@@ -32,7 +32,7 @@ def test_times_that_stand_still_cost_no_more_than_seconds(span: float) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_an_unlucky_block_does_not_take_the_freedom_away(seed: int) -> None:
-    """One block with a large residual once left three degrees, and intervals half as wide again."""
+    """Regression: one block with a large residual left three degrees of freedom and intervals 1.5 times as wide."""
     random = np.random.default_rng(seed)
     jacobian, times = random.normal(size=(2000, 3)), np.linspace(0.0, 20.0 * BLOCK_S, 2000, endpoint=False)
     residual = random.normal(size=2000)

@@ -19,7 +19,7 @@ from tests.conftest import NIGHTLY
 HANDS = packaged_hands()
 SEEDS = range(20) if NIGHTLY else range(2)
 QUICK = tuple(name for name in HANDS if NIGHTLY or name != "orca_like")
-"""A proof of 17 joints takes more than five minutes."""
+"""A rest test of 17 joints takes more than five minutes."""
 RATES = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42": 500.0}
 SATURATED = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
 """Weights with 390 N of authority command more torque than the motor has at the operating point."""
@@ -130,7 +130,7 @@ def judged_stable(model: HandModel, found: Design, seed: int) -> HandModel:
 
 @pytest.mark.parametrize("seed", SEEDS if NIGHTLY else SEEDS[:1])
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
-    """Check the design alone, without its proof in simulation."""
+    """Check only the design, without the rest test in simulation."""
     model = model_of("jamia", seed, 3.0)
     found = design_gains(model, tuple(linear_factors(one) for one in draw_ensemble(2, seed)))
     judged_stable(model, found, seed)
@@ -157,14 +157,14 @@ def test_a_proof_that_fails_leaves_no_design(jamia: HandModel) -> None:
 
 
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
-    """Positive control of the proof: gains that were once written with infinite margins."""
+    """Positive control of the rest test: gains that were once written with infinite margins."""
     model = with_force(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
     assert not simulate_swing(model.hand, model, {}, 0).at_rest
 
 
 def proof_of(model: HandModel) -> RestTest:
-    """Return a proof on the hand's own plant and its ensemble."""
+    """Return a rest test on the nominal plant and its ensemble."""
     factors = draw_ensemble(2, 0)
     return RestTest(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
 
@@ -209,7 +209,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
 def proof_with(
     monkeypatch: pytest.MonkeyPatch, model: HandModel, chatter: tuple[float, ...], found: tuple[float, ...]
 ) -> RestTest:
-    """Return a proof on plants with given chatter and given swings of the gains [N]."""
+    """Return a rest test on plants with given chatter and given swings of the gains [N]."""
 
     def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
         is_least_friction = factors == {"friction": 0.5}

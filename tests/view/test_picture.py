@@ -87,7 +87,10 @@ def test_the_viewer_listens_on_this_machine_only(bare: "tuple[Viewer, ViewerClie
 
 
 def test_viewer_ignores_streams_of_other_programs(bare: "tuple[Viewer, ViewerClient]") -> None:
-    """Ignore a program that still sends to a closed viewer. It once replaced the views of the next viewer."""
+    """Ignore a program that still sends to a closed viewer.
+
+    Regression: such a program replaced the views of the next viewer.
+    """
     running, client = bare
     assert not running.url.endswith(":9876/proxy"), "Rerun's default port"
     (shown,) = client.get_state().recordings

@@ -54,7 +54,7 @@ class Hostile:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all faults made and all modes seen."""
+        """Reset the record of faults and modes."""
         self.done_ns, self.modes, self.pulled, self.left = 0, list[Mode](), 0, list(self.acts)
 
     def poll_requests(self) -> tuple[str, ...]:
