@@ -15,7 +15,7 @@ PARTS = {
     "law: goals, inverse dynamics, allocation": ("core/law/", "handctl/hand/", "tick.py/_command"),
     "program": ("handctl/programs/",),
     "safety": ("handctl/safety/", "controller/monitor/", "tick.py/_judge"),
-    "hash of the state": ("controller/state", "core/kept", "core/plain"),
+    "hash of the state": ("controller/state", "core/identity_cache", "core/plain"),
     "telemetry": ("controller/telemetry",),
     "tick and modes": ("handctl/controller/", "handctl/core/"),
     "reading a log": ("handctl/log/", "handctl/replay/"),

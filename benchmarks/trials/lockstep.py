@@ -131,10 +131,10 @@ def run(trial: Trial) -> TrialRecord:
         twin = Simulator(file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path)
         rows: list[Row] = []
         with twin.against(controller) as run:
-            inputs = run.state.tendon[[s.FORCE, s.RATE]].T
+            inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
             for entry, out in run.ticks(trial.limit_s):
                 rows.append((entry, out, inputs, run.state))
-                inputs = run.state.tendon[[s.FORCE, s.RATE]].T
+                inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
         return _record(hand, controller, rows, read_truth(path), run.state)
 
 
@@ -146,7 +146,7 @@ def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
     """
     result = []
     states = after.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T
-    for i, (kind, x) in enumerate(zip(after.tendon_int[s.KIND], states, strict=True)):
+    for i, (kind, x) in enumerate(zip(after.tendon_int[s.FILTER_KIND], states, strict=True)):
         block = design.blocks[i][kind]
         result.append(max(float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ inputs[i])), 0.0))
     return result

@@ -1,13 +1,14 @@
-"""Compiles the functions that run for every tendon, motor or joint in every tick.
+"""Compilation of the functions that run for every tendon, motor or joint in every tick.
 
-A kernel is a plain function of arrays and numbers. It is written with loops and ``math``, as a reader would write it,
-and exists once. ``NUMBA_DISABLE_JIT=1`` runs the same function interpreted. Operations keep their order and their
-rounding (no ``fastmath``), so that both give the same numbers to the last bit.
+A kernel is a plain function of arrays and numbers, written with loops and ``math``. With
+``NUMBA_DISABLE_JIT=1`` the kernels run interpreted. Compiled code does not reorder operations (no
+``fastmath``), so that both ways give equal numbers to the last bit.
 
-``prepare`` compiles all kernels before a hand is armed. One compilation serves every hand: a kernel's arguments have
-fixed types, whatever their sizes. The code is kept in a folder that is named after the content of all source files that
-kernels are made of, and after their place. A change of one of them, a constant included, makes a new folder, so that no
-process can run code of another version. Where no folder can be written, each process compiles anew.
+``prepare`` compiles all kernels before a hand is armed. One compilation serves every hand, because
+the types of a kernel's arguments do not depend on the hand. The code is stored in a folder whose
+name is a hash of all source files of kernels and of their path. A change in one of these files
+leads to a new folder, so that no process runs code of another version. If no folder can be written,
+each process compiles the kernels itself.
 """
 
 import contextlib
@@ -41,21 +42,21 @@ SOURCES = (
     "drives/frame.py", "drives/records.py", "drives/signals.py",
     "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py",
 )  # fmt: skip
-"""Files and folders of this package whose functions and constants kernels are made of. A test follows each kernel to
-the modules of its constants. A change of any other file compiles nothing anew."""
+"""Files and folders of this package with the functions and constants of kernels. A test finds the modules of each
+kernel's constants. A change of another file compiles nothing."""
 MAX_FOLDERS = 16
-"""Maximum number of versions whose code is stored. Older versions are deleted."""
+"""Largest number of versions whose code is stored. Older versions are deleted."""
 MAX_WORKERS = 8
-"""Maximum number of processes that compile in parallel."""
+"""Largest number of processes that compile in parallel."""
 POLL_S = 0.1
-"""Time between two checks of the progress of these processes [s]."""
+"""Time between two checks of the progress of the compilation [s]."""
 
 _KERNELS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
-"""Name of each kernel to its dispatcher and the types of its arguments."""
+"""Dispatcher and types of the arguments of each kernel, by the name of the kernel."""
 _INNER: list[Any] = []
 """Dispatchers of all functions that only kernels call."""
 MARKED: list[Callable[..., Any]] = []
-"""All compiled functions in their Python form."""
+"""Python functions of all kernels and of the functions that kernels call."""
 _TYPES = {
     "real": types.float64,
     "count": types.int64,
@@ -80,9 +81,11 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     """Mark a function as a kernel.
 
     Args:
-        arguments: the type of each. real and count are numbers. vector, matrix, cube, flags and counts are arrays that
-            it reads; keys (int64), table (rows of float64) and table_int are contiguous ones, which it may borrow;
-            block (float64), layout (int64) and words (rows of uint64) are contiguous arrays that it may write into.
+        arguments: type of each argument. real and count are numbers. vector, matrix, cube, flags
+            and counts are arrays that the kernel reads. keys (int64), table (rows of float64) and
+            table_int are contiguous arrays that the kernel reads and may borrow. block (float64),
+            layout (int64) and words (rows of uint64) are contiguous arrays that the kernel may
+            write into.
     """
 
     def mark(function: F) -> F:
@@ -94,7 +97,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
 
 def inner(function: F) -> F:
-    """Mark a function that only kernels call. It becomes a part of them, and Python cannot call its compiled form."""
+    """Mark a function that only kernels call. It is compiled into the kernels, and Python cannot call it."""
     MARKED.append(function)
     options: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher: Any = njit(error_model="numpy", **options)(function)
@@ -114,7 +117,7 @@ def _marked(function: F) -> F:
 
 @contextlib.contextmanager
 def _cached_in(folder: Path | None) -> Iterator[None]:
-    """Let numba store the code of kernels in a folder, inside this context. Other packages are not affected."""
+    """Let numba store the code of kernels in a folder within this context. Other packages are not affected."""
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder or "")
     try:
@@ -126,7 +129,7 @@ def _cached_in(folder: Path | None) -> Iterator[None]:
 def _folder() -> Path | None:
     """Create and return the folder for the code of this version, or return None if no folder can be written."""
     root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser())
-    folder = root / "handctl" / f"kernels-{_content()}"
+    folder = root / "handctl" / f"kernels-{_source_hash()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
@@ -138,11 +141,12 @@ def _folder() -> Path | None:
     return folder
 
 
-def _content() -> str:
-    """Return a hash of all source files that kernels are made of, and of their folder.
+def _source_hash() -> str:
+    """Return a hash of all source files of kernels, and of the package's path.
 
-    Numba stores code by the path of its source. Two installations of one version in one folder would hide from each
-    other that the second has nothing compiled.
+    Numba stores code by the path of its source file. Without the path in the hash, two
+    installations of one version would share a folder, and one of them would find code there that it
+    cannot use.
     """
     here = Path(__file__).parent
     digest = hashlib.blake2b(os.fsencode(here), digest_size=8)
@@ -166,22 +170,22 @@ _FOLDER = None if config.DISABLE_JIT else _folder()
 
 @kernel("real")
 def square(value: float) -> float:
-    """Return the square of a number, by a product: ``**`` is a power for the interpreter, which rounds otherwise."""
+    """Return the square of a number as a product. The interpreter's ``**`` would round differently."""
     return value * value
 
 
 def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
-    """Generate the code of ``borrow``: an array without an owner, so that nothing counts references to it.
+    """Generate the code of ``borrow``: an array without an owner, so that its references are not counted.
 
     Raises:
-        TypingError: the array may have gaps, or its last axis may not be the nearest in memory.
+        TypingError: the array is not contiguous in C order.
     """
     if flat.layout != "C":
         raise TypingError(f"a kernel can borrow a contiguous array only, not {flat}")
     result = types.Array(flat.dtype, shape.count, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        from numba.np import arrayobj as _arrayobj  # only a program that compiles needs it
+        from numba.np import arrayobj as _arrayobj  # imported here, because only a compilation needs it
 
         arrayobj: Any = _arrayobj
         source = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
@@ -203,14 +207,17 @@ _borrow: Any = intrinsic(_without_owner)
 
 
 def borrow(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return a part of a contiguous array as an array of another shape, which a caller of the kernel keeps alive.
+    """Return a part of a contiguous array, with another shape, without counting references to it.
 
-    Numba counts references to arrays, by atomic operations, at each call to which they are handed. Kernels hand dozens
-    of tables to their parts, so that counting took more time than all numbers. A borrowed array has no owner to count.
-    Interpreted it is an ordinary view.
+    Numba counts the references to an array at each call with this array, by atomic operations.
+    Kernels pass dozens of tables to the functions that they call, and the counting took longer than
+    all computations. A borrowed array has no reference count, so the caller of the kernel must keep
+    the memory alive. The interpreter returns an ordinary view.
 
     Args:
-        flat: contiguous. first: index of the first element. shape: of the result.
+        flat: contiguous array.
+        first: index of the first element.
+        shape: shape of the result.
     """
     return flat.reshape(-1)[first : first + math.prod(shape)].reshape(shape)
 
@@ -224,7 +231,13 @@ def _compiled_borrow(flat: Any, first: Any, shape: Any) -> Any:
 
 
 class _Waiting(NamedTuple):
-    """Kernel that is not compiled yet: its name, its dispatcher, and the types of its arguments."""
+    """Kernel that is not compiled yet.
+
+    Attributes:
+        name: module and name of the kernel.
+        code: dispatcher of the kernel.
+        types: types of the arguments.
+    """
 
     name: str
     code: Any
@@ -246,7 +259,7 @@ def prepare(progress: Callable[[int, int], None] | None = None) -> None:
         report(done, len(waiting))
         if _FOLDER:
             load_kernel(one.code, one.types)
-        one.code.compile(one.types)  # nothing, if its code was loaded
+        one.code.compile(one.types)  # this does nothing if the code was loaded
         one.code.disable_compile()
 
 
@@ -278,11 +291,11 @@ def _compile_together(folder: Path, waiting: Sequence[_Waiting], report: Callabl
             time.sleep(POLL_S)
         if _compiled_count(folder, waiting) == len(waiting):
             return
-        with _cached_in(folder):  # only kernels that are compiled need the code of their parts
+        with _cached_in(folder):  # only a compilation needs the code of the functions that kernels call
             for part in _INNER:
                 part.enable_caching()
         todo, giving = os.pipe()
-        os.write(giving, bytes(order))  # a byte is the number of a kernel: the worker that reads it compiles it
+        os.write(giving, bytes(order))  # the worker that reads a byte compiles the kernel with this number
         os.close(giving)
         workers = [_worker(todo, waiting) for _ in range(min(os.cpu_count() or 1, MAX_WORKERS))]
         os.close(todo)
@@ -302,7 +315,7 @@ def _locked(lock: IO[str]) -> bool:
 
 
 def _worker(todo: int, waiting: Sequence[_Waiting]) -> int:
-    """Return a copy of this process that compiles one kernel after the other, and ends."""
+    """Fork a process that compiles one kernel after the other, and ends. Return its process id."""
     process = os.fork()
     if process:
         return process

@@ -71,10 +71,10 @@ def write_filter_state(state: State, filtered: FilterState) -> None:
     for name, row in ROWS.items():
         state.view(row)[...] = getattr(filtered, name)
     state.view("kind")[...] = state.view("regime") + 3 * (filtered.wary > 0.0)
-    state.set_whole(s.CARRIED, filtered.covariance is not None)
+    state.set_whole(s.COVARIANCE_PROPAGATED, filtered.covariance is not None)
     if filtered.covariance is not None:
         state.view("covariance")[...] = filtered.covariance.reshape(-1, STATES**2).T
-    state.set_whole(s.STARTED, filtered.started)
+    state.set_whole(s.FILTER_STARTED, filtered.started)
 
 
 def filter_state_of(state: State) -> FilterState:
@@ -86,7 +86,9 @@ def filter_state_of(state: State) -> FilterState:
         else state.view(row).copy()
         for name, row in ROWS.items()
     }
-    carried = state.view("covariance").T.reshape(-1, STATES, STATES).copy() if state.whole(s.CARRIED) else None
+    carried = None
+    if state.whole(s.COVARIANCE_PROPAGATED):
+        carried = state.view("covariance").T.reshape(-1, STATES, STATES).copy()
     x = state.tendon[s.TRAVEL : s.TRAVEL + STATES].T.copy().ravel()
     return FilterState(x, **found, covariance=carried, started=state.started)
 
@@ -125,7 +127,7 @@ def tick(
     run.view("planned_contact")[...] = contact
     if friction_state is not None:
         run.view("friction_state")[...] = friction_state
-    run.set_whole(s.MISSED, missed)
+    run.set_whole(s.MISSED_TICKS, missed)
     stages.correct_estimate(run.block, run.layout.places, *constants(model))
     if run.started:
         predict_filter_states(model, run.layout, run.block, missed)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from handctl.core.estimation.filter_stack import STATES, Block, D, E, O, Regime, V, W
+from handctl.core.estimation.filter_stack import STATES, D, E, FilterBlock, O, Regime, V, W
 from handctl.core.model import HandModel
 
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
@@ -102,23 +102,23 @@ def covariance_by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.nd
     raise AssertionError("the Riccati equation did not converge")
 
 
-def assumed_measurements(block: Block, regime: Regime) -> np.ndarray:
+def assumed_measurements(block: FilterBlock, regime: Regime) -> np.ndarray:
     """Return H (2, 7) of the gain design. Only for a slack tendon it contains the error of the load cell."""
     H = block.H[:2].copy()
     H[1, E] = float(regime == Regime.SLACK)
     return H
 
 
-def joseph_update(block: Block, P: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def joseph_update(block: FilterBlock, P: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return gain (7, 2) and covariance after an update by encoder and load cell. A mask (2,) marks those present.
 
     The error of the load cell can be distinguished from tension only in slack. In other regimes it is not corrected,
     but its variance still counts.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(missing, 1e12, 1.0))
-    H[1, E] = float(block.known)
+    H[1, E] = float(block.cell_error_observable)
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-    gain[E] *= float(block.known)
+    gain[E] *= float(block.cell_error_observable)
     rest = np.eye(STATES) - gain @ H
     return gain, rest @ P @ rest.T + gain @ R @ gain.T
 

@@ -83,7 +83,7 @@ def controller_of(model: HandModel) -> Controller:
 def _blank(model: HandModel) -> State:
     state = controller_of(model).initial()
     state.mode = Mode.ACTIVE
-    state.set_whole(s.STARTED, 1)
+    state.set_whole(s.FILTER_STARTED, 1)
     for name in ("regime", "kind", "kind_before", "stopped"):
         state.view(name)[...] = 0
     return state

@@ -328,7 +328,7 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
         "drives": [before.drives[::-1]],
         "progress": [progress for _, progress in progresses(before.progress)],
         "latched": [(*before.latched, Latched("B01", "x")), (Latched("B01", "y"),), (Latched("B02", "x"),)],
-        "counting": [(Counting("B01", "x", 1),), (Counting("B01", "x", 2),), (Counting("B01", "y", 1),)],
+        "reported_faults": [(Counting("B01", "x", 1),), (Counting("B01", "x", 2),), (Counting("B01", "y", 1),)],
         "refusals": [(1,), (2,), (1, 2)],
         "failure": ["x"],
         "unconfirmed": [("x",)],

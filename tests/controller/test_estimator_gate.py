@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from handctl.core.estimation.doubts import consistency_events
+from handctl.core.estimation.consistency import consistency_events
 from handctl.core.estimation.filter_stack import STATES, E, Regime, S, V, X
-from handctl.core.estimation.kalman import DOUBT_S, SLACK_LENGTH_M
+from handctl.core.estimation.kalman import MEAN_NIS_S, SLACK_LENGTH_M
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 from tests.controller.filter_runs import FilterState, parts, state_of, tick
@@ -122,13 +122,13 @@ def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> 
 def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     hand = Held(model).settled()
     names, events = model.hand.tendon_names, list[Event]()
-    for k in range(round(3 * DOUBT_S / model.period)):
+    for k in range(round(3 * MEAN_NIS_S / model.period)):
         before = hand.state
         hand.sample(TENSION, travel=4e-5 * (-1) ** k)
         events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
     assert sorted(event.where for event in events) == sorted(names), "every tendon, each once"
     assert {event.level for event in events} == {"warn"}
-    for _ in range(round(5 * DOUBT_S / model.period)):
+    for _ in range(round(5 * MEAN_NIS_S / model.period)):
         before = hand.state
         hand.sample(TENSION)
         events += consistency_events(model, state_of(model, before), state_of(model, hand.state))

@@ -16,8 +16,8 @@ from handctl.core.estimation.kalman import (
 )
 from handctl.core.estimation.take_up import (
     LIKELY_ABOVE_N,
-    NEAR_FACTOR,
-    NEAR_M,
+    NEARLY_TAUT_FACTOR,
+    NEARLY_TAUT_M,
     POINTS_AT_ONCE,
     POINTS_LIKELY,
     POINTS_OF_TAUT,
@@ -105,14 +105,14 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> F
 
 
 @pytest.mark.parametrize(
-    ("hangs_m", "known", "turns"), [(0.0, True, True), (2 * NEAR_M, True, False), (0.0, False, False)]
+    ("hangs_m", "known", "turns"), [(0.0, True, True), (2 * NEARLY_TAUT_M, True, False), (0.0, False, False)]
 )
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, hangs_m: float, known: bool, turns: bool
 ) -> None:
     """Its length must be known from an earlier take-up. The count then starts again."""
     n = model.tendon_count
-    above = next(above for above, worth in EVIDENCE if worth * NEAR_FACTOR >= POINTS_OF_TAUT > worth)
+    above = next(above for above, worth in EVIDENCE if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth)
     state = filter_state(model, Regime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(
         measured=(known,) * n
     )

@@ -10,7 +10,7 @@ from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATES, Regime
-from handctl.core.estimation.kalman import ADAPTED_NOISE_S, NOISE_NIS_LIMIT, NOISE_NIS_LIMIT_OF_HAND, NOISE_NIS_S
+from handctl.core.estimation.kalman import MAX_ADDED_NOISE_S, NOISE_NIS_LIMIT, NOISE_NIS_LIMIT_OF_HAND, NOISE_NIS_S
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Places
@@ -72,7 +72,7 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     x, force = state_at_rest(model, 20.0, 0.5)
     read = noiseless_readings(model, x, np.full(model.tendon_count, 21.0))
     sure = all_in_regime(model, Regime.FREE, x)
-    doubting = sure._replace(wary=np.full(model.tendon_count, ADAPTED_NOISE_S))
+    doubting = sure._replace(wary=np.full(model.tendon_count, MAX_ADDED_NOISE_S))
     (after, estimate), (after_doubt, estimate_doubt) = (
         step(model, state, read, force, no_contact(model)) for state in (sure, doubting)
     )
@@ -117,7 +117,7 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
         lately, wary = usual, none
         for _ in range(round(5 * NOISE_NIS_S / period)):
             lately, wary = averages_and_doubts(jamia11, lately, wary, odd)
-        assert wary[0] == ADAPTED_NOISE_S
+        assert wary[0] == MAX_ADDED_NOISE_S
         assert bool(wary[1:].any()) == all_of_them
     nis = np.array([1e6, *[2.0] * 10])
     assert not averages_and_doubts(jamia11, usual, none, nis)[1][1:].any()

@@ -122,15 +122,16 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     parts = {"F": h.F_AT, "B": h.B_AT, "K": h.K_AT, "Q": h.Q_AT, "R": h.R_AT, "P": h.P_AT, "H": h.H_AT}
     for own, rows in zip(model.filter.blocks, design, strict=True):
         for block, row in zip(own, rows, strict=True):
-            for name, first in {**parts, "tension_row": h.TENSION_AT}.items():
+            for name, first in {**parts, "tension_row": h.TENSION_ROW_AT}.items():
                 part = getattr(block, name)
                 np.testing.assert_array_equal(row[first : first + part.size].reshape(part.shape), part, err_msg=name)
             information = np.array([[1.0, 0.5], [0.5, 1.0]]) * block.innovation_information
             twice = row[h.INFORMATION_AT : h.INFORMATION_AT + 3]
             np.testing.assert_allclose([information[0, 0], 4 * information[0, 1], information[1, 1]], twice)
-            assert row[h.VARIANCE_AT] == block.tension_variance
+            assert row[h.TENSION_VARIANCE_AT] == block.tension_variance
             np.testing.assert_allclose(row[h.CELL_SIGMA_AT] ** 2, np.linalg.inv(block.innovation_information)[1, 1])
-            assert (row[h.DRIFT_AT], row[h.KNOWN_AT]) == (block.drift, block.known)
+            assert row[h.CELL_ERROR_VARIANCE_AT] == block.cell_error_variance
+            assert row[h.CELL_ERROR_OBSERVABLE_AT] == block.cell_error_observable
 
 
 def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> None:

@@ -151,7 +151,7 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
         return angles
 
     of = constant_tables_of(model)
-    free = bool(of.run_int[h.NULL_SPACE])
+    free = bool(of.run_int[h.HAS_NULL_SPACE])
     first = angles_of_tick(model, state, estimate, nothing, 1)
     if free:
         span = np.concatenate([digit.joint_max - digit.joint_min for digit in model.digits])
@@ -212,12 +212,12 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
     columns, spread = 0.2 * rng.normal(size=(12, joints)), 0.02 * rng.normal(size=(joints, model.tendon_count))
     state.view("q")[...], state.view("dq")[...] = rng.uniform(0.0, 1.5, joints), rng.normal(size=joints)
     state.view("joint_angle")[...] = state.view("q") + 0.2 * rng.normal(size=joints)
-    heard = rng.integers(now - round(1.5 * posture.READING_LIMIT_S * 1e9), now, len(state.view("group_ns")))
+    heard = rng.integers(now - round(1.5 * posture.MAX_READING_AGE_S * 1e9), now, len(state.view("group_ns")))
     state.view("group_ns")[...] = heard
     after = state_after_fusion(model, state, columns, spread, now)
 
     age = (now - heard[of.joint_int[h.JOINT_GROUP]]) * 1e-9
-    read = np.flatnonzero(of.joint_int[h.LOOSE].astype(bool) & (age < posture.READING_LIMIT_S))
+    read = np.flatnonzero(of.joint_int[h.IS_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S))
     moved = state.view("dq") * age
     digit = np.repeat(np.arange(len(model.digits)), [one.joint_count for one in model.digits])
     P = (columns.T @ columns + spread @ spread.T) * (digit[:, None] == digit)

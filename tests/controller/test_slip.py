@@ -39,7 +39,7 @@ class GraspRun:
     def tick(self, estimate: Estimate, seconds: float) -> None:
         for _ in range(round(seconds / self.model.period)):
             self.state.goal_time = self.t
-            self.state.set_number(s.GRIP_READY, self.grip.ready)
+            self.state.set_number(s.SLIP_JUDGED_FROM, self.grip.ready)
             felt = detect_contacts(self.model, self.state, estimate)
             self.t += self.model.period
             self.grip, self.goals, events = advance_grip(self.model, self.grip, self.plan, self.goals, felt, self.t)

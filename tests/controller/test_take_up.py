@@ -4,7 +4,7 @@ import pytest
 
 from handctl.core.block import state_tables
 from handctl.core.estimation.filter_stack import Regime
-from handctl.core.estimation.take_up import NEAR_M, is_nearly_taut, is_regime_over, regime_evidence
+from handctl.core.estimation.take_up import NEARLY_TAUT_M, is_nearly_taut, is_regime_over, regime_evidence
 from handctl.core.model import HandModel
 from tests.controller.synthetic import active_state, interpreted
 
@@ -24,6 +24,6 @@ def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(length
 def test_a_tendon_is_near_when_little_slack_length_remains(model: HandModel) -> None:
     state = active_state(model)
     state.view("stretch_offset")[...] = 1e-3
-    for hangs, is_near in ((0.9 * NEAR_M, True), (1.1 * NEAR_M, False)):
+    for hangs, is_near in ((0.9 * NEARLY_TAUT_M, True), (1.1 * NEARLY_TAUT_M, False)):
         state.view("travel")[...] = 1e-3 - hangs
         assert interpreted(is_nearly_taut)(interpreted(state_tables)(state.block, state.layout.places), 1) == is_near

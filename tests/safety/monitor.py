@@ -48,7 +48,7 @@ class Monitor:
     Attributes:
         limits: names and thresholds.
         layout, block: of the state. hand, constants: layout and block of the constants, which may be changed.
-        latched, counting: of ``safety.judge``.
+        latched, reported_faults: of ``safety.judge``.
     """
 
     def __init__(self, limits: Limits, motor_period: Any = T, joint_period: float = T, **constants: Any) -> None:
@@ -76,7 +76,7 @@ class Monitor:
         self.set_constants(**constants)
         self.block = self.layout.initial.copy()
         self.latched: tuple[Latched, ...] = ()
-        self.counting: tuple[Counting, ...] = ()
+        self.reported_faults: tuple[Counting, ...] = ()
         self.set({
             "mode": int(Mode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
             "measured_travel": 0.0, "measured_position": 0.0, "measured_tension": 20.0, "measured_force": 20.0,
@@ -163,16 +163,16 @@ class Monitor:
     def conclude(self, demanded: int, reports: Iterable[Report]) -> Verdict:
         """Latch the findings, add the reports, and select the action."""
         fresh = faults_counting_since_now(self.limits, self.found, self.view("fault_ticks"))
-        verdict = judge_tick(self.latched, self.counting, fresh, demanded, reports)
-        self.latched, self.counting = verdict.latched, verdict.counting
+        verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded, reports)
+        self.latched, self.reported_faults = verdict.latched, verdict.reported_faults
         return verdict
 
     def clear(self) -> None:
         """Clear latched faults as an operator does."""
-        decisions = Decisions((), None, self.latched, self.counting)  # type: ignore[arg-type]
+        decisions = Decisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
         state = State(self.layout, self.block, decisions)
         clear_latched_faults(state)
-        self.latched, self.counting = state.latched, state.decisions.counting
+        self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
 
     def name(self, kind: str, i: int) -> str:
         """Return the name of an instance, or an empty text for a fault of the whole hand."""

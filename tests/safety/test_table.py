@@ -10,7 +10,7 @@ import pytest
 
 from handctl.core.detectors import judge as compiled_judge
 from handctl.safety import judge as judgement
-from handctl.safety.action import Action, Release
+from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import ITSELF, OPERATOR, Fault
 from handctl.safety.faults.table import ACTIONS, BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS, TABLE
 from handctl.safety.judge import Verdict
@@ -48,7 +48,7 @@ def check_fault_alone(
         verdict = monitor.judge(show(monitor, shown), shown.reports)
         found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
         present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
-        present += [one.ticks for one in verdict.counting if one.id == id_]
+        present += [one.ticks for one in verdict.reported_faults if one.id == id_]
         counts = max(present, default=0) >= BY_ID[id_].debounce or id_ in {mark.id for mark in verdict.latched}
         actions.append(BY_ID[id_].action if counts else Action.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
@@ -62,7 +62,7 @@ def test_every_row_has_a_case_and_is_there_once() -> None:
 
 def test_hand_without_disturbance_has_no_fault() -> None:
     monitor, verdicts = check_ticks(*[REST] * 50)
-    assert (monitor.latched, monitor.counting) == ((), ())
+    assert (monitor.latched, monitor.reported_faults) == ((), ())
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
     assert not any(verdict.findings for verdict in verdicts)
 
@@ -155,17 +155,17 @@ DOUBT_THE_LOOP = {"N04", "N05b", "N06b", "N12", "N13", "N14", "N14b", "N17", "T0
 
 
 def test_faults_of_the_tension_loop_relax_without_it() -> None:
-    relaxing = {one.id: one.release for one in TABLE if one.action >= Action.RELAX}
-    assert {one for one, release in relaxing.items() if release is Release.OPEN} == DOUBT_THE_LOOP
-    assert {one for one, release in relaxing.items() if release is Release.FAST} == {"T03", "T06"}
+    relaxing = {one.id: one.relax_method for one in TABLE if one.action >= Action.RELAX}
+    assert {one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP} == DOUBT_THE_LOOP
+    assert {one for one, release in relaxing.items() if release is RelaxMethod.FAST_LOOP} == {"T03", "T06"}
 
 
 def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
     rows = [line.split("|") for line in SAFETY_PAGE.read_text().splitlines() if line.startswith("| RELAX ")]
     listed = {row[1].strip(): set(re.findall(r"[A-Z]\d\d[a-c]?", row[3])) for row in rows}
-    for release in (Release.FAST, Release.OPEN):
+    for release in (RelaxMethod.FAST_LOOP, RelaxMethod.OPEN_LOOP):
         # A fault that cuts the torque does not relax.
-        relaxing = {one.id for one in TABLE if one.release is release and one.action is Action.RELAX}
+        relaxing = {one.id for one in TABLE if one.relax_method is release and one.action is Action.RELAX}
         assert listed[release.value] == relaxing
 
 

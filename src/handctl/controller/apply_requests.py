@@ -182,7 +182,10 @@ def clear_latched_faults(state: State) -> None:
     again.
     """
     ticks = state.view("fault_ticks")[: len(DEBOUNCE)]
-    # One tick below the debounce: a present fault counts again in this tick, an absent one is reset.
+    # One tick below the debounce: a present fault counts again in this tick, an absent one is
+    # reset.
     np.minimum(ticks, DEBOUNCE[:, None] - 1, out=ticks)
-    counting = [one._replace(ticks=min(one.ticks, BY_ID[one.id].debounce - 1)) for one in state.decisions.counting]
-    state.decide(latched=(), counting=tuple(counting))
+    reported_faults = [
+        one._replace(ticks=min(one.ticks, BY_ID[one.id].debounce - 1)) for one in state.decisions.reported_faults
+    ]
+    state.decide(latched=(), reported_faults=tuple(reported_faults))

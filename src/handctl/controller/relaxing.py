@@ -5,12 +5,12 @@ Therefore an envelope bounds the motor force of each tendon. No measurement can 
 
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
-with the commanded motor force u at the tendon [N]. T is the period. For a spool pair u is the size of
-the force, and the direction stays. The envelope begins at the last
-command, or at the present tension if the tension is smaller. If a load cell is in doubt, a tendon in the
-tension loop begins at its setpoint instead of its tension. The tension loop may only go below the
-envelope. After a fault of the loop (``Release.OPEN``) u[k] = e[k]. The command of a motor that
-brakes at the start of relaxing goes to zero.
+with the commanded motor force u at the tendon [N]. T is the period. For a spool pair u is the size
+of the force, and the direction stays. The envelope begins at the last command, or at the present
+tension if the tension is smaller. If a load cell is in doubt, a tendon in the tension loop begins
+at its setpoint instead of its tension. The tension loop may only go below the envelope. After a
+fault of the loop (``RelaxMethod.OPEN_LOOP``) u[k] = e[k]. The command of a motor that brakes at the
+start of relaxing goes to zero.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ from handctl.core import block as s
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
-from handctl.safety.action import Release
+from handctl.safety.action import RelaxMethod
 from handctl.safety.faults.table import BY_ID
 
 RELAX_RATE_N_PER_S = 500.0
@@ -57,7 +57,7 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     setpoint = sign * table[s.SETPOINT]
     # A tendon whose digit follows a position goal has no setpoint that leads its tension.
     setpoint = np.where(in_tension_loop, np.minimum(setpoint, present), setpoint)
-    start = np.minimum(setpoint, np.maximum(sign * table[s.FORCE], 0.0) + START_MARGIN_N)
+    start = np.minimum(setpoint, np.maximum(sign * table[s.FILTER_FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
         DigitGoal(Kind.TENSION, tension=_relaxed_goal(model, start)[tendons], rate=present_relax_rate(state))
         for tendons in model.digit_tendons
@@ -67,7 +67,8 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     # COMMANDED_FORCE is the commanded motor force, which the envelope starts from in the next tick.
     explained = present
     if any(mark.id in LOAD_CELL_FAULTS for mark in state.latched):
-        # The tension may be that of the setpoint. A position goal explains no tension that no cell has measured.
+        # The tension may be that of the setpoint. A position goal explains no tension that no cell
+        # has measured.
         explained = np.where(in_tension_loop, np.maximum(present, start), present)
     table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained)
     whole[s.GOAL_KIND] = int(Kind.TENSION)
@@ -119,14 +120,14 @@ def update_relax_rate(state: State) -> None:
 
 def present_relax_rate(state: State) -> float:
     """Return the rate at which tensions are lowered [N/s]."""
-    return OVER_TENSION_RATE_N_PER_S if Release.FAST in _release_methods(state) else RELAX_RATE_N_PER_S
+    return OVER_TENSION_RATE_N_PER_S if RelaxMethod.FAST_LOOP in _release_methods(state) else RELAX_RATE_N_PER_S
 
 
 def is_open_loop(state: State) -> bool:
     """Return True if the envelope is commanded directly, without measurements."""
-    return Release.OPEN in _release_methods(state)
+    return RelaxMethod.OPEN_LOOP in _release_methods(state)
 
 
-def _release_methods(state: State) -> set[Release]:
+def _release_methods(state: State) -> set[RelaxMethod]:
     """Return the methods of relaxing that the latched faults demand."""
-    return {BY_ID[mark.id].release for mark in state.latched}
+    return {BY_ID[mark.id].relax_method for mark in state.latched}

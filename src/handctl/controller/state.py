@@ -11,7 +11,7 @@ from handctl.core import block as s
 from handctl.core.block import STATE
 from handctl.core.estimate import Estimate, Measured
 from handctl.core.gains.gains import Gains
-from handctl.core.kept import IdentityCache
+from handctl.core.identity_cache import IdentityCache
 from handctl.core.model import HandModel
 from handctl.core.plain import plain_bytes
 from handctl.core.schema import Block, Layout
@@ -28,8 +28,8 @@ class Lease(NamedTuple):
 
     Attributes:
         client: client that commands the hand.
-        duration_ns: longest silence before moving digits come to rest [ns]. After twice this time the
-            hand relaxes.
+        duration_ns: longest silence before moving digits come to rest [ns]. After twice this time
+            the hand relaxes.
         renewed_ns: time of the last command or sign of life [ns].
         resting: True if the digits have come to rest since then.
     """
@@ -48,7 +48,7 @@ class Decisions(NamedTuple):
             here.
         progress: progress of the program.
         latched: latched faults.
-        counting: faults reported by buses and host, with the number of consecutive ticks.
+        reported_faults: faults reported by buses and host, with the number of consecutive ticks.
         refusals: ticks within the last second that had a malformed request.
         failure: reason of an early end of the run in one line, empty without a failure.
         unconfirmed: names of motors not confirmed as disabled.
@@ -64,7 +64,7 @@ class Decisions(NamedTuple):
     drives: tuple[DriveState, ...]
     progress: Progress
     latched: tuple[Latched, ...] = ()
-    counting: tuple[Counting, ...] = ()
+    reported_faults: tuple[Counting, ...] = ()
     refusals: tuple[int, ...] = ()
     failure: str = ""
     unconfirmed: tuple[str, ...] = ()
@@ -223,11 +223,11 @@ class State:
     @property
     def armed(self) -> bool:
         """Return True if arming is requested."""
-        return bool(self.whole(s.ARMED))
+        return bool(self.whole(s.ARMING_REQUESTED))
 
     @armed.setter
     def armed(self, armed: bool) -> None:
-        self.set_whole(s.ARMED, armed)
+        self.set_whole(s.ARMING_REQUESTED, armed)
 
     @property
     def clearing(self) -> bool:
@@ -241,7 +241,7 @@ class State:
     @property
     def started(self) -> bool:
         """Return True if encoder and load cell of every tendon have been read at least once."""
-        return bool(self.whole(s.STARTED))
+        return bool(self.whole(s.FILTER_STARTED))
 
     @property
     def estimate(self) -> Estimate:
@@ -260,7 +260,7 @@ class State:
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
         """Return the number of SYNCs sent, of accepted tension frames, and of frames with an old counter."""
-        return self.whole(s.SYNCS), self.whole(s.TENSION_FRAMES), self.whole(s.STALE)
+        return self.whole(s.SYNCS), self.whole(s.TENSION_FRAMES), self.whole(s.STALE_FRAMES)
 
     # Decisions by their names.
 

@@ -34,9 +34,9 @@ STEADY_PERIODS = 2.5
 LEAD_N = 6.0
 """Largest setpoint above the estimated tension that a target leads to [N].
 
-The tendon of a free digit bears no more than the digit's springs and friction. A setpoint that ran ahead
-would spin the motor, and look like a snapped tendon (T01) or an oscillation (N14b). The same margin below
-the largest tension is for the overshoot.
+The tendon of a free digit bears no more than the digit's springs and friction. A setpoint that ran
+ahead would spin the motor, and look like a snapped tendon (T01) or an oscillation (N14b). The same
+margin below the largest tension is for the overshoot.
 """
 OPEN, RUNNING = 1, 2
 """Values of ``block.STREAMING``."""
@@ -185,8 +185,8 @@ def _begin_ramp(
     ticks = max((sent_ns - t_ns) / 1e9 + stream.horizon, model.period) / model.period
     for d in digits_of(model, stream):
         tendons = model.digit_tendons[d]
-        state.tendon[s.TARGET, tendons] = reached[tendons]
-        state.tendon[s.TARGET_STEP, tendons] = np.minimum(
+        state.tendon[s.TENSION_TARGET, tendons] = reached[tendons]
+        state.tendon[s.SETPOINT_STEP, tendons] = np.minimum(
             np.abs(reached - setpoint)[tendons] / ticks, step
         )
     named = np.array([name in stream.names for name in model.hand.tendon_names])
@@ -219,7 +219,7 @@ def _begin_segment(
             places = model.digit_coordinates[d]
             held[places] = holdable(digit, held[places], model.floor[digit.tendons])
     # The reference of the last tick is the start. This tick is already on the way.
-    since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED))
+    since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
     steady = state.whole(s.STREAMING) == RUNNING and apart <= STEADY_PERIODS * stream.period

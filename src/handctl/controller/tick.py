@@ -31,7 +31,7 @@ from handctl.controller.state import Decisions, State, layout_of_state
 from handctl.controller.telemetry import TelemetryGatherer
 from handctl.core import block as s
 from handctl.core import stages, wire
-from handctl.core.estimation.doubts import consistency_events
+from handctl.core.estimation.consistency import consistency_events
 from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
 from handctl.core.law.goals import sample_trajectories, write_goals
@@ -88,7 +88,8 @@ class Controller:
         gather: function that copies the telemetry from the state block.
         owners: index of the drive, by bus and identifier.
         amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
-        sends_sync: True if the sensor node needs SYNC. Drives without this SYNC send SYNC themselves.
+        sends_sync: True if the sensor node needs SYNC. Drives without this SYNC send SYNC
+            themselves.
         sync_row: SYNC frame of the sensor node as a record.
     """
 
@@ -203,7 +204,9 @@ class Controller:
         if requests:
             operator, request_events = apply_requests(self.model, self.program, state, requests)
         events = (
-            consistency_events(self.model, before, state) + request_events if state.whole(s.CHANGED) else request_events
+            consistency_events(self.model, before, state) + request_events
+            if state.whole(s.CONSISTENCY_CHANGED)
+            else request_events
         )
         self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
@@ -315,7 +318,7 @@ class Controller:
         whole = state.tendon_int
         table[s.POSITION : s.POSITION + 4, n] = drive_state[1:5]
         received = drive_state.feedback_count - whole[s.FEEDBACKS, n]
-        whole[s.ANSWERED, n] += received
+        whole[s.FEEDBACKS_NOW, n] += received
         whole[s.FEEDBACKS, n] = drive_state.feedback_count
         whole[s.FEEDBACK_NS, n] = drive_state.feedback_t_ns
         before = state.decisions.drives[n]
@@ -348,8 +351,8 @@ class Controller:
             rate = 1.0 / self.model.period
             recent = tuple(then for then in (*recent, *(k,) * malformed) if k - then < rate)
             state.decide(refusals=recent)
-            state.set_whole(s.REFUSED, len(recent))
-            state.set_whole(s.REFUSED_NOW, len(refused))
+            state.set_whole(s.REFUSED_REQUESTS, len(recent))
+            state.set_whole(s.REFUSED_REQUESTS_NOW, len(refused))
 
     def _judge(
         self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]
@@ -358,16 +361,18 @@ class Controller:
         state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # until then a load cell may read anything
         demanded, found = stages.find_faults(state.block, self.layout.places, *self._constants, self.layout.initial)
         new_findings = (
-            faults_counting_since_now(self.limits, found, state.view("fault_ticks")) if state.whole(s.FOUND_NOW) else []
+            faults_counting_since_now(self.limits, found, state.view("fault_ticks"))
+            if state.whole(s.NEW_FAULTS)
+            else []
         )
         decisions = state.decisions
-        if not (new_findings or entry.io_events or signs or decisions.latched or decisions.counting):
+        if not (new_findings or entry.io_events or signs or decisions.latched or decisions.reported_faults):
             return _ACTIONS[demanded], ()
         reports = [(event.kind, event.where, float(event.number)) for event in entry.io_events]
         reports = filter_error_frames(reports, self._any_node_seen(state)) + second_controller_reports(signs)
-        verdict = judge_tick(decisions.latched, decisions.counting, new_findings, demanded, reports)
-        if verdict.latched != decisions.latched or verdict.counting != decisions.counting:
-            state.decide(latched=verdict.latched, counting=verdict.counting)
+        verdict = judge_tick(decisions.latched, decisions.reported_faults, new_findings, demanded, reports)
+        if verdict.latched != decisions.latched or verdict.reported_faults != decisions.reported_faults:
+            state.decide(latched=verdict.latched, reported_faults=verdict.reported_faults)
         return verdict.action, verdict.findings
 
     def _any_node_seen(self, state: State) -> bool:
@@ -400,7 +405,7 @@ class Controller:
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
         state.set_whole(s.GRIPPING, progress.grip is not None)
-        state.set_number(s.GRIP_READY, progress.grip.ready if progress.grip else 0.0)
+        state.set_number(s.SLIP_JUDGED_FROM, progress.grip.ready if progress.grip else 0.0)
         if progress.tare:
             state.view("program_tare")[...] = progress.tare
 
@@ -461,7 +466,8 @@ class Controller:
             out[0] = self.sync_row
             out[0, PAYLOAD] = counter
             state.set_whole(s.SYNC_COUNTER, counter & 0xF)
-            # The answers of an amplifier before the end of its set-up are not used, and are not lost.
+            # The answers of an amplifier before the end of its set-up are not used, and are not
+            # lost.
             if all(one.phase == Phase.READY for one in state.decisions.amplifiers):
                 state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
         torque = state.tendon[s.TORQUE]

@@ -1,1 +1,1 @@
-"""What a tick computes: the hand's model, estimation, law."""
+"""Computations of a tick: model of the hand, estimation, fault detectors and control law."""

@@ -1,14 +1,21 @@
-"""State block of a tick: every quantity with table, unit and meaning.
+"""State block of a tick: every quantity with its table, unit and meaning.
 
 A tick copies the block of the last tick and writes into the copy. Results of the tick
-(measurements, estimates, the command) are in the same block, so log, viewer and next tick read the
-same data. ``state_tables`` gives compiled code the tables by name. See ``schema`` for the addressing of
-rows.
+(measurements, estimates, the command) are in the same block. So the log, the viewer and the next
+tick read the same data. ``state_tables`` returns the tables by name, for compiled code. ``schema``
+explains how rows are addressed.
 
-Axes: tendon N (motors have the index of their tendon), joint J, digit D, coordinate C (reduced
-coordinates of all digits), node N + 1 (motors, then the load cells), group G (frames of the sensor
-node), instance (of a fault), run, of length 1, and servo: N if a drive of the hand closes a position
-loop, else 0.
+The axes and their lengths are:
+
+- tendon, N. A motor has the index of its tendon.
+- joint, J.
+- digit, D.
+- coordinate, C: the reduced coordinates of all digits.
+- node, N + 1: the motors, then the load cells.
+- group, G: the frames of the sensor node.
+- instance: the motors, tendons, joints or nodes that can have a fault.
+- run, 1.
+- servo: N if a drive of the hand closes a position loop, else 0.
 """
 
 import math
@@ -32,258 +39,402 @@ STATE = Schema(*TABLES, optional="servo")
 _real = STATE.real
 _whole = STATE.whole
 
-# Tension filter. The seven states come first, so that they are one contiguous vector (7 N) for filterpy.
-TRAVEL = _real("travel", "tendon", "m", "tendon wound at the spool, predicted to the present")
-SPEED = _real("speed", "tendon", "m/s", "its rate")
+# Tension filter. The seven states come first, so that they are one contiguous vector (7 N) for
+# filterpy.
+TRAVEL = _real("travel", "tendon", "m",
+    "length of tendon wound on the spool, predicted to the present")  # fmt: skip
+SPEED = _real("speed", "tendon", "m/s", "rate of the travel")
 EXCURSION = _real("excursion", "tendon", "m", "tendon excursion at the joints")
-EXCURSION_RATE = _real("excursion_rate", "tendon", "m/s", "its rate")
-DISTURBANCE = _real("disturbance", "tendon", "N", "force on the motor that the model lacks")
-CELL_ERROR = _real("cell_error", "tendon", "N", "load-cell error, as last seen in slack")
-STRETCH_OFFSET = _real("stretch_offset", "tendon", "m", "stretch offset")
-FORCE = _real("force", "tendon", "N", "motor force commanded, friction taken off: the filter's first input")
-RATE = _real("rate", "tendon", "N/s", "planned rate of the tension: the filter's second input")
-COVARIANCE = _real("covariance", "tendon", "", "covariance of the seven states, row by row, while carried", rows=49)
-SURPRISE = _real("surprise", "tendon", "", "last load-cell innovation by its standard deviation; 0 if there was none")
-NIS_MEAN = _real("nis_mean", "tendon", "", "normalised innovation squared, averaged over 1 s", initial=2.0)
-NIS_FAST = _real("nis_lately", "tendon", "", "the same by the undoubted model, averaged over 0.25 s", initial=2.0)
-WARY = _real("wary", "tendon", "s", "time for which the filter still doubts its model")
-REGIME = _whole("regime", "tendon", "", "0 free, 1 held, 2 slack", initial=2)
-KIND = _whole("kind", "tendon", "", "regime, plus 3 while the filter doubts its model", initial=2)
-KIND_BEFORE = _whole("kind_before", "tendon", "", "kind of the measurements that this tick judged", initial=2)
-STOPPED = _whole("stopped", "tendon", "", "springs hold the digit on its open stop", initial=1)
-TURNING = _whole("turning", "tendon", "", "evidence for leaving or entering slack, see take_up")
-LENGTH_KNOWN = _whole("length_known", "tendon", "", "the tendon's length is known from a take-up")
-DOUBTFUL = _whole("doubtful", "tendon", "", "the model does not fit")
-CARRIED = _whole("carried", "run", "", "the covariance is carried along, because measurements were missing")
-STARTED = _whole("started", "run", "", "encoder and load cell of every tendon were read once")
+EXCURSION_RATE = _real("excursion_rate", "tendon", "m/s", "rate of the excursion")
+DISTURBANCE = _real("disturbance", "tendon", "N",
+    "force on the motor that the model does not explain")  # fmt: skip
+CELL_ERROR = _real("cell_error", "tendon", "N",
+    "load-cell error, as estimated when the tendon was last slack")  # fmt: skip
+STRETCH_OFFSET = _real("stretch_offset", "tendon", "m",
+    "travel less excursion at which the stretch begins")  # fmt: skip
+FILTER_FORCE = _real("force", "tendon", "N",
+    "commanded motor force less motor friction: first input of the filter")  # fmt: skip
+PLANNED_TENSION_RATE = _real("rate", "tendon", "N/s",
+    "planned rate of the tension: second input of the filter")  # fmt: skip
+COVARIANCE = _real("covariance", "tendon", "",
+    "covariance of the seven states, row by row, while it is propagated", rows=49)  # fmt: skip
+CELL_INNOVATION_SIGMAS = _real("surprise", "tendon", "",
+    "last load-cell innovation in standard deviations; 0 without a reading")  # fmt: skip
+NIS_MEAN = _real("nis_mean", "tendon", "",
+    "normalised innovation squared, averaged over 1 s", initial=2.0)  # fmt: skip
+NIS_FAST = _real("nis_lately", "tendon", "", initial=2.0,
+    meaning="normalised innovation squared of the model without added noise, averaged over 0.25 s")  # fmt: skip
+ADDED_NOISE_S = _real("wary", "tendon", "s", "time for which the filter still adds process noise")
+REGIME = _whole("regime", "tendon", "", "regime of the tendon: 0 free, 1 held, 2 slack", initial=2)
+FILTER_KIND = _whole("kind", "tendon", "", initial=2,
+    meaning="index of the filter design: the regime, plus 3 with added process noise")  # fmt: skip
+FILTER_KIND_BEFORE = _whole("kind_before", "tendon", "",
+    "index of the filter design for the measurements of this tick", initial=2)  # fmt: skip
+ON_OPEN_STOP = _whole("stopped", "tendon", "",
+    "1 if springs hold the digit on its open stop", initial=1)  # fmt: skip
+REGIME_EVIDENCE = _whole("turning", "tendon", "",
+    "evidence that the tendon becomes slack or taut, see take_up")  # fmt: skip
+LENGTH_KNOWN = _whole("length_known", "tendon", "",
+    "1 after a take-up, which shows the length of the tendon")  # fmt: skip
+DOUBTFUL = _whole("doubtful", "tendon", "", "1 if the mean NIS is too large for a correct model")
+COVARIANCE_PROPAGATED = _whole("carried", "run", "",
+    "1 while the covariance is propagated, because measurements were missing")  # fmt: skip
+FILTER_STARTED = _whole("started", "run", "",
+    "1 after the first reading of every encoder and load cell")  # fmt: skip
 
-# Measurements of this tick, NaN where nothing came.
-MEASURED_TRAVEL = _real("measured_travel", "tendon", "m", "encoder, at the spool", initial=NAN)
-MEASURED_POSITION = _real("measured_position", "tendon", "rad", "encoder, at the spool", initial=NAN)
-MEASURED_TENSION = _real("measured_tension", "tendon", "N", "load cell, tared", initial=NAN)
-MEASURED_EXCURSION = _real("measured_excursion", "tendon", "m", "excursion by joint encoders", initial=NAN)
-MEASURED_JOINT = _real("measured_joint", "joint", "rad", "joint encoder", initial=NAN)
-MEASURED_FORCE = _real("measured_force", "tendon", "N", "force that the motor reports, at the spool", initial=NAN)
-SATURATED = _whole("saturated", "tendon", "", "the load cell is at an end of its range")
-JOINT_ANGLE = _real("joint_angle", "joint", "rad", "latest reading of the joint encoder", initial=NAN)
-JOINTS_READ = _whole("joints_read", "run", "", "a joint encoder was read in this tick")
-JUMP = _real("jump", "tendon", "rad", "step of a position that was dropped in this tick; 0 if none was")
-JOINT_JUMP = _real("joint_jump", "joint", "rad", "the same of a joint encoder")
-PROGRAM_TARE = _real("program_tare", "tendon", "N", "load-cell tare found in this run")
+# Measurements of this tick. A missing measurement is NaN.
+MEASURED_TRAVEL = _real("measured_travel", "tendon", "m",
+    "length of tendon wound on the spool, by the motor encoder", initial=NAN)  # fmt: skip
+MEASURED_POSITION = _real("measured_position", "tendon", "rad",
+    "motor position by its encoder, at the spool, less the motor zero", initial=NAN)  # fmt: skip
+MEASURED_TENSION = _real("measured_tension", "tendon", "N",
+    "load-cell reading less the tare", initial=NAN)  # fmt: skip
+MEASURED_EXCURSION = _real("measured_excursion", "tendon", "m",
+    "tendon excursion by the joint encoders", initial=NAN)  # fmt: skip
+MEASURED_JOINT = _real("measured_joint", "joint", "rad",
+    "joint angle by the joint encoder", initial=NAN)  # fmt: skip
+MEASURED_FORCE = _real("measured_force", "tendon", "N",
+    "motor force at the spool, from the torque that the drive reports", initial=NAN)  # fmt: skip
+SATURATED = _whole("saturated", "tendon", "", "1 if the load cell is at an end of its range")
+JOINT_ANGLE = _real("joint_angle", "joint", "rad",
+    "latest reading of the joint encoder", initial=NAN)  # fmt: skip
+JOINTS_READ = _whole("joints_read", "run", "", "1 if a joint encoder was read in this tick")
+REJECTED_STEP = _real("jump", "tendon", "rad",
+    "step of a motor position that this tick rejected; 0 if none")  # fmt: skip
+REJECTED_JOINT_STEP = _real("joint_jump", "joint", "rad",
+    "step of a joint angle that this tick rejected; 0 if none")  # fmt: skip
+PROGRAM_TARE = _real("program_tare", "tendon", "N",
+    "load-cell tare that the program measured in this run")  # fmt: skip
 
 # Estimates of this tick.
 TENSION = _real("tension", "tendon", "N", "tension at the load cell; 0 in slack")
-SIGMA = _real("sigma", "tendon", "N", "its standard deviation", initial=NAN)
-EXTERNAL = _real("external", "tendon", "N", "load force that the model lacks, positive against closing: contact")
-INNOVATION = _real("innovation", "tendon", "N", "load cell less prediction; NaN if missing", initial=NAN)
+TENSION_SIGMA = _real("sigma", "tendon", "N", "standard deviation of the tension", initial=NAN)
+EXTERNAL_TENSION = _real("external", "tendon", "N",
+    "load force that the model does not explain, positive against closing: contact")  # fmt: skip
+INNOVATION = _real("innovation", "tendon", "N",
+    "load-cell reading less its prediction; NaN if missing", initial=NAN)  # fmt: skip
 NIS = _real("nis", "tendon", "", "normalised innovation squared; NaN if missing", initial=NAN)
 Q = _real("q", "joint", "rad", "joint angle")
 DQ = _real("dq", "joint", "rad/s", "joint rate")
 Q_SIGMA = _real("q_sigma", "joint", "rad", "standard deviation of the joint angle", initial=NAN)
-TOUCH = _real("touch", "digit", "N", "unexplained tension, the mean of a digit's tendons, smoothed")
-BLOCKED = _whole("blocked", "digit", "", "the digit has met something that no program planned")
-PRESSED = _real("pressed", "digit", "N", "tension of contact: rises at once, fades slowly")
-TURN = _real("turn", "joint", "rad", "angle by which contact turns a joint")
-TURN_SIGMA = _real("turn_sigma", "joint", "rad", "its standard deviation")
-TIP_FORCE = _real("tip_force", "digit", "N", "tip-equivalent contact force, normal to the last link")
-TIP_FORCE_SIGMA = _real("tip_force_sigma", "digit", "N", "its standard deviation")
-CONTACT = _real("contact", "digit", "", "1 in contact, 0 not")
-PLANNED_CONTACT = _whole("planned_contact", "digit", "", "the program knows that the digit touches")
+TOUCH = _real("touch", "digit", "N",
+    "unexplained tension, the mean over the tendons of a digit, low-passed")  # fmt: skip
+BLOCKED = _whole("blocked", "digit", "",
+    "1 if the digit touches something that no program planned to touch")  # fmt: skip
+CONTACT_TENSION = _real("pressed", "digit", "N",
+    "tension of a contact, which rises at once and fades slowly")  # fmt: skip
+CONTACT_TURN = _real("turn", "joint", "rad", "angle by which a contact turns the joint")
+CONTACT_TURN_SIGMA = _real("turn_sigma", "joint", "rad",
+    "standard deviation of the turn by contact")  # fmt: skip
+TIP_FORCE = _real("tip_force", "digit", "N",
+    "tip-equivalent contact force, normal to the last link")  # fmt: skip
+TIP_FORCE_SIGMA = _real("tip_force_sigma", "digit", "N", "standard deviation of the tip force")
+CONTACT = _real("contact", "digit", "", "1 if the digit is in contact, else 0")
+PLANNED_CONTACT = _whole("planned_contact", "digit", "",
+    "1 if the program knows that the digit touches an object")  # fmt: skip
 
 # Contact of closing digits, and motion of a grip; see estimation.contact.
-CLOSING = _whole("closing", "digit", "", "the program closes the digit until it touches")
-SMOOTHED_TIP_FORCE = _real("felt", "digit", "N", "force at the tip of a closing digit, smoothed; 0 for the others")
-TIP_FORCE_MEAN = _real("usual", "digit", "N", "its mean over a longer time; NaN before", initial=NAN)
-DRIFT = _real("drift", "digit", "N", "its mean over all closing so far, which is the load cells' error", initial=NAN)
-CONTACT_FORCE = _real("grown", "digit", "N", "what counts of the force felt")
-GRIPPING = _whole("gripping", "run", "", "the program holds an object")
-GRIP_READY = _real("grip_ready", "run", "s", "time of the program from which on slip is judged")
-GRIP_FAST = _real("grip_fast", "tendon", "m", "tendon wound less stretch, quickly averaged")
-GRIP_SLOW = _real("grip_slow", "tendon", "m", "the same, slowly averaged")
+CLOSING = _whole("closing", "digit", "", "1 while the program closes the digit until contact")
+SMOOTHED_TIP_FORCE = _real("felt", "digit", "N",
+    "force at the tip of a closing digit, low-passed over 5 ms; 0 for other digits")  # fmt: skip
+TIP_FORCE_MEAN = _real("usual", "digit", "N", initial=NAN,
+    meaning="mean force at the tip of a closing digit over 0.15 s; NaN for other digits")  # fmt: skip
+TIP_FORCE_DRIFT = _real("drift", "digit", "N", initial=NAN,
+    meaning="mean force at the tip over all closing so far, caused by errors of the load cells")  # fmt: skip
+CONTACT_FORCE = _real("grown", "digit", "N",
+    "smoothed force at the tip less a negative mean and a positive drift")  # fmt: skip
+GRIPPING = _whole("gripping", "run", "", "1 while the program holds an object")
+SLIP_JUDGED_FROM = _real("grip_ready", "run", "s", "program time from which slip is judged")
+GRIP_TRAVEL_FAST = _real("grip_fast", "tendon", "m",
+    "length wound on the spool less stretch, averaged over 0.02 s")  # fmt: skip
+GRIP_TRAVEL_SLOW = _real("grip_slow", "tendon", "m",
+    "length wound on the spool less stretch, averaged over 0.2 s")  # fmt: skip
 
-# Goals of the digits: what the control law follows.
-GOAL_KIND = _whole("goal_kind", "tendon", "", "0 limp, 1 motion, 2 tension")
-TRAJECTORY_KIND = _whole("way_kind", "digit", "", "0 none, 1 minimum jerk, 2 sampled by the program, 3 streamed")
-TRAJECTORY_START = _real("way_start", "coordinate", "rad", "where a minimum-jerk move begins")
-TRAJECTORY_END = _real("way_end", "coordinate", "rad", "where it ends")
-TRAJECTORY_START_SPEED = _real("trajectory_start_speed", "coordinate", "rad/s", "rate at its beginning")
+# Goals of the digits, for the control law.
+GOAL_KIND = _whole("goal_kind", "tendon", "", "type of control: 0 limp, 1 motion, 2 tension")
+TRAJECTORY_KIND = _whole("way_kind", "digit", "",
+    "type of trajectory: 0 none, 1 minimum jerk, 2 sampled by the program, 3 streamed")  # fmt: skip
+TRAJECTORY_START = _real("way_start", "coordinate", "rad",
+    "position at the start of a minimum-jerk move")  # fmt: skip
+TRAJECTORY_END = _real("way_end", "coordinate", "rad", "position at the end of a minimum-jerk move")
+TRAJECTORY_START_SPEED = _real("trajectory_start_speed", "coordinate", "rad/s",
+                               "rate at the start of a minimum-jerk move")  # fmt: skip
 TRAJECTORY_START_ACCELERATION = _real("trajectory_start_acceleration", "coordinate", "rad/s2",
-                                      "acceleration at its beginning")  # fmt: skip
-TRAJECTORY_SINCE = _real("way_since", "digit", "s", "when it began, in time of the program")
-TRAJECTORY_DURATION = _real("way_duration", "digit", "s", "how long it takes", initial=1.0)
-TRAJECTORY_BLEND = _real("trajectory_blend", "digit", "s", "how long an earlier motion continues in it", initial=1.0)
-TRAJECTORY = _real("way", "coordinate", "rad, /s, /s2", "position, rate and acceleration on the trajectory", rows=3)
-TARGET = _real("target", "tendon", "N", "tension to approach")
-TARGET_STEP = _real("target_step", "tendon", "N", "largest change of the setpoint in a tick")
-FORCE_LIMIT = _real("force_limit", "tendon", "N", "largest motor force that the goal may use")
-STIFFNESS_FRACTION = _real("stiffness_fraction", "tendon", "", "fraction of the motion loop's stiffness", initial=1.0)
-DAMPING_FRACTION = _real("damping_fraction", "tendon", "", "fraction of its damping", initial=1.0)
+    "acceleration at the start of a minimum-jerk move")  # fmt: skip
+TRAJECTORY_SINCE = _real("way_since", "digit", "s",
+    "program time at which the minimum-jerk move starts")  # fmt: skip
+TRAJECTORY_DURATION = _real("way_duration", "digit", "s",
+    "duration of the minimum-jerk move", initial=1.0)  # fmt: skip
+TRAJECTORY_BLEND = _real("trajectory_blend", "digit", "s",
+    "time in which an earlier motion fades during the minimum-jerk move", initial=1.0)  # fmt: skip
+TRAJECTORY = _real("way", "coordinate", "rad, /s, /s2",
+    "position, rate and acceleration on the trajectory", rows=3)  # fmt: skip
+TENSION_TARGET = _real("target", "tendon", "N",
+    "tension that the setpoint of the tension loop approaches")  # fmt: skip
+SETPOINT_STEP = _real("target_step", "tendon", "N",
+    "largest change of the tension setpoint in a tick")  # fmt: skip
+FORCE_LIMIT = _real("force_limit", "tendon", "N", "largest motor force that the goal allows")
+STIFFNESS_FRACTION = _real("stiffness_fraction", "tendon", "",
+    "fraction of the motion loop's stiffness that is used", initial=1.0)  # fmt: skip
+DAMPING_FRACTION = _real("damping_fraction", "tendon", "",
+    "fraction of the motion loop's damping that is used", initial=1.0)  # fmt: skip
 
-# Stream of targets from a client, see ``law.stream``. Times are the run's.
-STREAM_SEGMENT = _real("stream_segment", "coordinate", "rad .. rad/s5", "polynomial from the start to the target",
-                       rows=6)  # fmt: skip
-STREAM_TARGET = _real("stream_target", "coordinate", "rad", "latest target within the joints' range")
-STREAM_TARGET_RATE = _real("stream_target_rate", "coordinate", "rad/s", "rate between the latest two targets")
-STREAM_RANGE = _real("stream_range", "coordinate", "rad", "lowest and highest target", rows=2)
-STREAM_SINCE = _real("stream_since", "run", "s", "start of the present segment")
-STREAM_DURATION = _real("stream_duration", "run", "s", "time from its start to its target", initial=1.0)
-STREAM_SENT_NS = _whole("stream_sent_ns", "run", "ns", "when the latest accepted target was sent")
-STREAMING = _whole("streaming", "run", "", "1 a stream is open, 2 a target of it was accepted")
-STREAM_SEQUENCE = _whole("stream_sequence", "run", "", "number of the latest accepted target; -1 before", initial=-1)
-STREAM_ACCEPTED = _whole("stream_accepted", "run", "", "accepted targets of the stream")
-STREAM_CLIPPED = _whole("stream_clipped", "run", "", "accepted targets that were clipped to the range")
-STREAM_LATE = _whole("stream_late", "run", "", "ignored targets: repeated, overtaken or too old")
-STREAM_REFUSED = _whole("stream_refused", "run", "", "refused targets: not numbers, or of a wrong shape")
-STREAM_LIMITED = _whole("stream_limited", "run", "", "coordinates that the limits hold back in this tick")
+# Stream of targets from a client, see ``law.stream``. Times are those of the run's clock.
+STREAM_SEGMENT = _real("stream_segment", "coordinate", "rad .. rad/s5",
+    "coefficients of the polynomial from the reference to the target", rows=6)  # fmt: skip
+STREAM_TARGET = _real("stream_target", "coordinate", "rad",
+    "latest target, clipped to the range of the joints")  # fmt: skip
+STREAM_TARGET_RATE = _real("stream_target_rate", "coordinate", "rad/s",
+    "rate between the latest two targets")  # fmt: skip
+STREAM_RANGE = _real("stream_range", "coordinate", "rad",
+    "smallest and largest target within the range of the joints", rows=2)  # fmt: skip
+STREAM_SINCE = _real("stream_since", "run", "s", "time at which the present segment starts")
+STREAM_DURATION = _real("stream_duration", "run", "s",
+    "duration of the present segment", initial=1.0)  # fmt: skip
+STREAM_SENT_NS = _whole("stream_sent_ns", "run", "ns",
+    "time at which the latest accepted target was sent")  # fmt: skip
+STREAMING = _whole("streaming", "run", "",
+    "1 if a stream is open, 2 after its first accepted target, else 0")  # fmt: skip
+STREAM_SEQUENCE = _whole("stream_sequence", "run", "",
+    "sequence number of the latest accepted target; -1 before the first", initial=-1)  # fmt: skip
+STREAM_ACCEPTED = _whole("stream_accepted", "run", "", "number of accepted targets of the stream")
+STREAM_CLIPPED = _whole("stream_clipped", "run", "",
+    "number of accepted targets that were clipped to the range")  # fmt: skip
+STREAM_LATE = _whole("stream_late", "run", "",
+    "number of ignored targets: repeated, overtaken or too old")  # fmt: skip
+STREAM_REFUSED = _whole("stream_refused", "run", "",
+    "number of refused targets: not numbers, or of a wrong shape")  # fmt: skip
+STREAM_LIMITED = _whole("stream_limited", "run", "",
+    "number of coordinates that speed or acceleration limits hold back in this tick")  # fmt: skip
 
 # Control law.
 SETPOINT = _real("setpoint", "tendon", "N", "present setpoint of the tension loop")
-LOAD = _real("load", "tendon", "N", "tension at the joints that the trajectory asks for")
-JOINT_REQUIRED = _real("joint_required", "joint", "N m", "joint torque that the trajectory asks for")
-INTEGRAL = _real("integral", "tendon", "N", "its integral part")
-PLANNED = _real("planned", "tendon", "N", "tension of a moving digit a period from now; 0 where nothing moves")
-TRIM = _real("trim", "tendon", "N", "motor force that makes up for a change of gains, fading")
-HOLD_LIMIT = _real("limit_held", "tendon", "N", "largest tension while safety holds", initial=NAN)
-FRICTION_STATE = _real("friction_state", "tendon", "", "developed friction: 1 winding, -1 paying out; NaN unknown",
-                       initial=NAN)  # fmt: skip
-TRIMMED = _whole("trimmed", "run", "", "a trim is left")
-HOLDING = _whole("holding", "run", "", "safety holds the hand")
+REQUIRED_TENSION = _real("load", "tendon", "N",
+    "tension at the joints that the trajectory requires")  # fmt: skip
+REQUIRED_JOINT_TORQUE = _real("joint_required", "joint", "N m",
+    "joint torque that the trajectory requires")  # fmt: skip
+TENSION_INTEGRAL = _real("integral", "tendon", "N", "integral of the tension error, as a force")
+PLANNED_TENSION = _real("planned", "tendon", "N",
+    "planned tension of a moving tendon a period from now; 0 for other tendons")  # fmt: skip
+TRIM = _real("trim", "tendon", "N",
+    "fading motor force that avoids a jump of the torque after a change of gains")  # fmt: skip
+HOLD_LIMIT = _real("limit_held", "tendon", "N",
+    "largest tension while safety holds the hand", initial=NAN)  # fmt: skip
+FRICTION_STATE = _real("friction_state", "tendon", "",
+    "development of friction: 1 winding, -1 paying out; NaN if unknown", initial=NAN)  # fmt: skip
+TRIMMED = _whole("trimmed", "run", "", "1 while a trim is not yet zero")
+HOLDING = _whole("holding", "run", "", "1 while safety holds the hand")
 
 # Command of this tick.
 TORQUE = _real("torque", "tendon", "N m", "commanded motor torque, at the spool")
-TENSION_GOAL = _real("tension_goal", "tendon", "N", "commanded tension; NaN where nothing is", initial=NAN)
+TENSION_GOAL = _real("tension_goal", "tendon", "N",
+    "commanded tension; NaN without a tension command", initial=NAN)  # fmt: skip
 JOINT_TORQUE = _real("joint_torque", "joint", "N m", "commanded joint torque")
-Q_GOAL = _real("q_goal", "joint", "rad", "commanded joint angle; NaN for a digit in the tension loop", initial=NAN)
-DQ_GOAL = _real("dq_goal", "joint", "rad/s", "its rate", initial=NAN)
+Q_GOAL = _real("q_goal", "joint", "rad",
+    "commanded joint angle; NaN for a digit in the tension loop", initial=NAN)  # fmt: skip
+DQ_GOAL = _real("dq_goal", "joint", "rad/s",
+    "commanded joint rate; NaN for a digit in the tension loop", initial=NAN)  # fmt: skip
 
 # Command of this tick to a drive that closes the position loop by itself, see ``law.servo``.
-SERVO_POSITION = _real("servo_position", "servo", "rad", "position to approach, at the spool")
-SERVO_VELOCITY = _real("servo_velocity", "servo", "rad/s", "its rate")
-SERVO_KP = _real("servo_kp", "servo", "N m/rad", "stiffness; 0 if the command is a torque only")
-SERVO_KD = _real("servo_kd", "servo", "N m s/rad", "damping; 0 if the command is a torque only")
-SERVO_TORQUE = _real("servo_torque", "servo", "N m", "torque that the drive adds")
-SERVO_BEFORE = _real("servo_before", "servo", "", "the five numbers of the tick before", rows=5)
+SERVO_POSITION = _real("servo_position", "servo", "rad",
+    "position that the drive approaches, at the spool")  # fmt: skip
+SERVO_VELOCITY = _real("servo_velocity", "servo", "rad/s",
+    "velocity that the drive approaches, at the spool")  # fmt: skip
+SERVO_KP = _real("servo_kp", "servo", "N m/rad",
+    "stiffness of the drive's position loop; 0 for a torque command")  # fmt: skip
+SERVO_KD = _real("servo_kd", "servo", "N m s/rad",
+    "damping of the drive's position loop; 0 for a torque command")  # fmt: skip
+SERVO_TORQUE = _real("servo_torque", "servo", "N m",
+    "torque that the drive adds to that of its position loop")  # fmt: skip
+SERVO_BEFORE = _real("servo_before", "servo", "",
+    "position, velocity, kp, kd and torque that the last tick commanded", rows=5)  # fmt: skip
 SERVO_SHARE = _real("servo_share", "servo", "", "fraction of recent ticks with kp > 0")
-SERVO_REPORT = _real("servo_report", "servo", "N", "motor force to be reported now", initial=NAN)
+SERVO_REPORT = _real("servo_report", "servo", "N",
+    "motor force that the drive should report in this tick", initial=NAN)  # fmt: skip
 
-# Drives: the values of their cyclic frames. Their set-up is in ``State.drives``.
-POSITION = _real("position", "tendon", "rad", "motor position, at the spool; NaN before any feedback", initial=NAN)
-VELOCITY = _real("velocity", "tendon", "rad/s", "motor velocity", initial=NAN)
-REPORTED = _real("reported", "tendon", "N m", "motor torque that the drive reports", initial=NAN)
-TEMPERATURE = _real("temperature", "tendon", "degC", "hottest sensor of the drive", initial=NAN)
-FEEDBACK_NS = _whole("feedback_ns", "tendon", "ns", "reception of the latest feedback; -1 before", initial=-1)
-FEEDBACKS = _whole("feedbacks", "tendon", "", "feedback frames so far")
-ANSWERED = _whole("answered", "tendon", "", "feedback frames of this tick")
+# Drives: values from their cyclic frames. The state of each drive's set-up is in ``State.drives``.
+POSITION = _real("position", "tendon", "rad",
+    "motor position, at the spool; NaN before any feedback", initial=NAN)  # fmt: skip
+VELOCITY = _real("velocity", "tendon", "rad/s",
+    "motor velocity, at the spool; NaN before any feedback", initial=NAN)  # fmt: skip
+REPORTED_TORQUE = _real("reported", "tendon", "N m",
+    "motor torque that the drive reports", initial=NAN)  # fmt: skip
+TEMPERATURE = _real("temperature", "tendon", "degC",
+    "temperature of the drive's hottest sensor", initial=NAN)  # fmt: skip
+FEEDBACK_NS = _whole("feedback_ns", "tendon", "ns",
+    "reception time of the latest feedback; -1 before the first", initial=-1)  # fmt: skip
+FEEDBACKS = _whole("feedbacks", "tendon", "", "number of feedback frames since the start")
+FEEDBACKS_NOW = _whole("answered", "tendon", "", "number of feedback frames in this tick")
 STATUS = _whole("status", "tendon", "", "status field of the latest feedback")
-STATUS_EXPECTED = _whole("status_expected", "tendon", "", "status at which the state machine has nothing to do",
-                         initial=-1)  # fmt: skip
-DUE_NS = _whole("due_ns", "tendon", "ns", "when the drive's state machine must run next")
-PHASE = _whole("phase", "tendon", "", "drives.contract.Phase")
-PHASE_BEFORE = _whole("phase_before", "tendon", "", "the same before this tick")
-EXCESS_REPLIES = _whole("surplus", "tendon", "", "one more than the open questions if more answers came; 0 if not")
+STATUS_EXPECTED = _whole("status_expected", "tendon", "", initial=-1,
+    meaning="status that needs no action of the drive's state machine; -1 for none")  # fmt: skip
+DUE_NS = _whole("due_ns", "tendon", "ns", "time at which the drive's state machine must run next")
+PHASE = _whole("phase", "tendon", "", "phase of the drive, drives.contract.Phase")
+PHASE_BEFORE = _whole("phase_before", "tendon", "", "phase of the drive before this tick")
+EXCESS_REPLIES = _whole("surplus", "tendon", "",
+    "number of open requests plus 1 if more replies came than requests, else 0")  # fmt: skip
 FAULT_CODE = _whole("fault_code", "tendon", "", "error code of a drive in fault")
-FAULT_CAUSE = _whole("fault_cause", "tendon", "", "drives.causes.Cause of it; -1 without fault", initial=-1)
-MISREAD_NOW = _whole("misread_now", "node", "", "a frame of the node in this tick had a wrong shape")
-DUPLICATES = _whole("twice", "node", "", "excess replies of this tick: 1 with equal bytes, 2 with other bytes")
+FAULT_CAUSE = _whole("fault_cause", "tendon", "",
+    "cause of the drive's fault, drives.causes.Cause; -1 without fault", initial=-1)  # fmt: skip
+MALFORMED_NOW = _whole("misread_now", "node", "",
+    "1 if a frame of the node had a wrong shape in this tick")  # fmt: skip
+DUPLICATES = _whole("twice", "node", "",
+    "excess replies of this tick: 0 none, 1 with equal bytes, 2 with other bytes")  # fmt: skip
 
-# Numbers for the log alone.
+# Numbers that only the log uses.
 MOTOR_AGE = _real("motor_age", "tendon", "s", "age of the latest feedback", initial=NAN)
-DRIVE_PHASE = _real("drive_phase", "tendon", "", "drives.contract.Phase")
-MOTOR_VELOCITY = _real("motor_velocity", "tendon", "rad/s", "motor velocity of this tick; NaN if none", initial=NAN)
-MOTOR_TORQUE = _real("motor_torque", "tendon", "N m", "motor torque of this tick; NaN if none came", initial=NAN)
+DRIVE_PHASE = _real("drive_phase", "tendon", "",
+    "phase of the drive, drives.contract.Phase, as a real number")  # fmt: skip
+MOTOR_VELOCITY = _real("motor_velocity", "tendon", "rad/s",
+    "motor velocity of this tick; NaN without feedback", initial=NAN)  # fmt: skip
+MOTOR_TORQUE = _real("motor_torque", "tendon", "N m",
+    "motor torque of this tick; NaN without feedback", initial=NAN)  # fmt: skip
 
 # Sensor node.
-CELL = _real("cell", "tendon", "N", "latest load-cell reading, as it came")
-CELL_FRESH = _whole("cell_fresh", "tendon", "", "the load cell was read in this tick")
-JOINT_FRESH = _whole("joint_fresh", "joint", "", "the joint encoder was read in this tick")
-GROUP_NS = _whole("group_ns", "group", "ns", "reception of the latest frame; -1 before", initial=-1)
-GROUP_FRAMES = _whole("group_frames", "group", "", "frames accepted so far")
-GROUP_ANSWERED = _whole("group_answered", "group", "", "frames accepted in this tick")
-SYNC_COUNTER = _whole("sync_asked", "run", "", "low four bits of the last SYNC; -1 before", initial=-1)
-SYNCS = _whole("syncs", "run", "", "SYNCs so far")
-STALE = _whole("stale", "run", "", "frames of load cells or joints that answer an older SYNC")
-TENSION_FRAMES = _whole("tension_frames", "run", "", "frames of load cells accepted so far")
-STALE_NOW = _whole("stale_now", "run", "", "in this tick: 1 such a frame, 2 one that came after the fresh one")
+CELL_READING = _real("cell", "tendon", "N", "latest load-cell reading, before the tare")
+CELL_FRESH = _whole("cell_fresh", "tendon", "", "1 if the load cell was read in this tick")
+JOINT_FRESH = _whole("joint_fresh", "joint", "", "1 if the joint encoder was read in this tick")
+GROUP_NS = _whole("group_ns", "group", "ns",
+    "reception time of the latest frame of the group; -1 before the first", initial=-1)  # fmt: skip
+GROUP_FRAMES = _whole("group_frames", "group", "",
+    "number of accepted frames of the group since the start")  # fmt: skip
+GROUP_FRAMES_NOW = _whole("group_answered", "group", "",
+    "number of accepted frames of the group in this tick")  # fmt: skip
+SYNC_COUNTER = _whole("sync_asked", "run", "",
+    "low four bits of the counter of the last SYNC; -1 before the first", initial=-1)  # fmt: skip
+SYNCS = _whole("syncs", "run", "", "number of SYNCs sent since the start")
+STALE_FRAMES = _whole("stale", "run", "",
+    "number of sensor frames since the start that answered an older SYNC")  # fmt: skip
+TENSION_FRAMES = _whole("tension_frames", "run", "",
+    "number of accepted load-cell frames since the start")  # fmt: skip
+STALE_NOW = _whole("stale_now", "run", "",
+    "1 if a sensor frame of this tick answered an older SYNC, 2 if after a fresh frame, else 0")  # fmt: skip
 
-# Monitor. From here to MONITOR_END everything begins anew when the hand is armed.
+# Monitor. The fields from here to _MONITOR_END are reset when the hand is armed.
 _MONITOR_FIRST = {table: STATE.rows(table) for table in TABLES}
-ACCEPTED = _real("accepted", "tendon", "rad", "last motor position that was accepted", initial=NAN)
-ACCEPTED_GAP = _real("accepted_gap", "tendon", "", "ticks by which it may be older than the last one")
-DROPPED = _real("dropped", "tendon", "", "positions dropped in a row")
-JOINT_ACCEPTED = _real("joint_accepted", "joint", "rad", "last joint angle that was accepted", initial=NAN)
-JOINT_GAP = _real("joint_gap", "joint", "", "ticks by which it may be older than the last one")
-JOINT_DROPPED = _real("joint_dropped", "joint", "", "joint angles dropped in a row")
+ACCEPTED_POSITION = _real("accepted", "tendon", "rad",
+    "latest motor position that the outlier test accepted", initial=NAN)  # fmt: skip
+ACCEPTED_GAP = _real("accepted_gap", "tendon", "",
+    "number of ticks before the last tick at which that position may have been measured")  # fmt: skip
+REJECTED_POSITIONS = _real("dropped", "tendon", "",
+    "number of motor positions in a row that the outlier test rejected")  # fmt: skip
+ACCEPTED_JOINT_ANGLE = _real("joint_accepted", "joint", "rad",
+    "latest joint angle that the outlier test accepted", initial=NAN)  # fmt: skip
+ACCEPTED_JOINT_GAP = _real("joint_gap", "joint", "",
+    "number of ticks before the last tick at which that angle may have been measured")  # fmt: skip
+REJECTED_JOINT_ANGLES = _real("joint_dropped", "joint", "",
+    "number of joint angles in a row that the outlier test rejected")  # fmt: skip
 RESIDUAL = _real("residual", "tendon", "", "low-passed residuals, see detectors.residuals", rows=8)
 LAST_SPEED = _real("last_speed", "tendon", "m/s", "tendon speed of the last tick", initial=NAN)
-LAST_POSITION = _real("last_position", "tendon", "rad", "motor position of the last tick", initial=NAN)
-LAST_TURNED = _real("last_turned", "tendon", "rad", "motion of the motor in the last tick", initial=NAN)
-FILTERED = _whole("filtered", "run", "", "the residuals have begun")
-MOTOR_VALUE = _real("motor_value", "tendon", "m", "last reading of the encoder, for the stuck test", initial=NAN)
-MOTOR_ANCHOR = _real("motor_anchor", "tendon", "m, N", "goal and tension when it last changed", rows=2, initial=NAN)
-MOTOR_STUCK = _whole("motor_stuck", "tendon", "", "ticks for which it is the same")
-CELL_VALUE = _real("cell_value", "tendon", "N", "last load-cell reading, for the stuck test", initial=NAN)
-CELL_ANCHOR = _real("cell_anchor", "tendon", "N", "motor force when it last changed", initial=NAN)
-CELL_STUCK = _whole("cell_stuck", "tendon", "", "ticks for which it is the same")
-JOINT_VALUE = _real("joint_value", "joint", "rad", "last joint reading, for the stuck test", initial=NAN)
-JOINT_ANCHOR = _real("joint_anchor", "joint", "rad", "angle by the spools when it last changed", initial=NAN)
-JOINT_STUCK = _whole("joint_stuck", "joint", "", "ticks for which it is the same")
+LAST_POSITION = _real("last_position", "tendon", "rad",
+    "motor position of the last tick", initial=NAN)  # fmt: skip
+LAST_POSITION_STEP = _real("last_turned", "tendon", "rad",
+    "change of the motor position in the last tick", initial=NAN)  # fmt: skip
+RESIDUALS_STARTED = _whole("filtered", "run", "", "1 after the first update of the residuals")
+STUCK_TEST_POSITION = _real("motor_value", "tendon", "m", initial=NAN,
+    meaning="last reading of the motor encoder along the tendon, for the stuck test")  # fmt: skip
+MOTOR_ANCHOR = _real("motor_anchor", "tendon", "m, N", rows=2, initial=NAN,
+    meaning="goal and tension when the reading of the motor encoder last changed")  # fmt: skip
+MOTOR_STUCK = _whole("motor_stuck", "tendon", "",
+    "number of readings since the motor encoder's reading last changed")  # fmt: skip
+STUCK_TEST_TENSION = _real("cell_value", "tendon", "N",
+    "last load-cell reading, for the stuck test", initial=NAN)  # fmt: skip
+CELL_ANCHOR = _real("cell_anchor", "tendon", "N",
+    "motor force when the load-cell reading last changed", initial=NAN)  # fmt: skip
+CELL_STUCK = _whole("cell_stuck", "tendon", "",
+    "number of readings since the load-cell reading last changed")  # fmt: skip
+STUCK_TEST_ANGLE = _real("joint_value", "joint", "rad",
+    "last reading of the joint encoder, for the stuck test", initial=NAN)  # fmt: skip
+JOINT_ANCHOR = _real("joint_anchor", "joint", "rad",
+    "joint angle by the spools when the joint reading last changed", initial=NAN)  # fmt: skip
+JOINT_STUCK = _whole("joint_stuck", "joint", "",
+    "number of readings since the joint encoder's reading last changed")  # fmt: skip
 TAUT_S = _real("taut_s", "tendon", "s", "time for which the tendon has been taut")
-IS_TAUT = _whole("bears", "tendon", "", "taut by its filtered tension, so that spool and joints move together")
-SLIP_FROM = _real("slip_from", "tendon", "m", "joint against spool when the tendon became taut", initial=NAN)
-SLIP = _real("slip", "tendon", "deg", "joint encoders against spool, as a mean joint angle", initial=NAN)
-DERAILED = _real("derailed", "tendon", "", "readings in a row in which the two are further apart than any stretch")
-COMMANDED_FORCE = _real("asked", "tendon", "N", "motor force that the last tick commanded; NaN if none", initial=NAN)
-COMMANDED_TENSION = _real("wanted", "tendon", "N", "tension that the last tick commanded; NaN if none", initial=NAN)
-FOLLOWED = _real("followed", "tendon", "m", "goal of the last tick, as a motor can follow it; NaN if none", initial=NAN)
-TAUT_AGO = _whole("taut_ago", "tendon", "", "ticks since the tendon was taut; -1 if it was not since tension is wanted",
-                  initial=-1)  # fmt: skip
-SLACK_TICKS = _whole("slack_ticks", "tendon", "", "ticks for which it has been slack")
-CUT_TICKS = _whole("cut_ticks", "run", "", "ticks since the torque was cut; -1 if it is not", initial=-1)
-TENSION_AT_CUT = _real("cut_from", "tendon", "N", "tension back then; NaN if no load cell has told it yet", initial=NAN)
-TENSION_AFTER_CUT = _real("cut_bears", "tendon", "N", "last reading well after the cut, NaN if none", initial=NAN)
-PAST = _real("past", "tendon", "N", "load-cell readings of the last 64 ticks, the latest first", rows=64, initial=NAN)
-READING = _real("reading", "tendon", "N", "load-cell reading that is compared with them", initial=NAN)
-LONGEST = _whole("longest", "tendon", "", "longest run of equal readings")
-SAME = _whole("same", "tendon", "", "readings in a row that were as so many ticks before", rows=64)
-SWING_SLOW = _real("swing_slow", "tendon", "N", "slow part of the tension's deviation from its command")
-SWING_SQUARE = _real("swing_square", "tendon", "N2", "mean square of the rest")
-SWING_S = _real("swing_s", "tendon", "s", "time for which it has been large")
-REPORT_FORCES = _real("report_forces", "tendon", "N", "last three commands and last report", rows=4, initial=NAN)
-REPORT_MOMENTS = _real("report_moments", "tendon", "N2", "low-passed products of their increments", rows=5)
-REPORT_ON_TIME = _real("report_on_time", "tendon", "", "ticks in a row in which the motor answered in time")
+IS_TAUT = _whole("bears", "tendon", "",
+    "1 if taut by the filtered tension, so that spool and joints move together")  # fmt: skip
+SLIP_REFERENCE = _real("slip_from", "tendon", "m", initial=NAN,
+    meaning="travel less stretch and joint excursion, measured when the tendon became taut")  # fmt: skip
+SLIP = _real("slip", "tendon", "deg", initial=NAN,
+    meaning="spool against joint encoders since the tendon became taut, as mean joint angle")  # fmt: skip
+DERAILED_READINGS = _real("derailed", "tendon", "",
+    "number of readings in a row with more slip than any stretch explains")  # fmt: skip
+COMMANDED_FORCE = _real("asked", "tendon", "N",
+    "motor force that the last tick commanded; NaN without a command", initial=NAN)  # fmt: skip
+COMMANDED_TENSION = _real("wanted", "tendon", "N",
+    "tension that the last tick commanded; NaN without a command", initial=NAN)  # fmt: skip
+FILTERED_GOAL = _real("followed", "tendon", "m",
+    "goal of the excursion in the last tick, filtered to the speed of a motor; NaN without a goal",
+    initial=NAN)  # fmt: skip
+TICKS_SINCE_TAUT = _whole("taut_ago", "tendon", "", initial=-1,
+    meaning="ticks since the tendon was last taut; -1 if never since a tension was commanded")  # fmt: skip
+SLACK_TICKS = _whole("slack_ticks", "tendon", "",
+    "number of ticks in a row for which the tendon has been slack")  # fmt: skip
+CUT_TICKS = _whole("cut_ticks", "run", "",
+    "ticks since the torque was cut; -1 if it was not cut", initial=-1)  # fmt: skip
+TENSION_AT_CUT = _real("cut_from", "tendon", "N",
+    "tension when the torque was cut; NaN before a load cell was read", initial=NAN)  # fmt: skip
+TENSION_AFTER_CUT = _real("cut_bears", "tendon", "N", initial=NAN,
+    meaning="latest tension at least 80 ms after the cut; NaN if none was measured")  # fmt: skip
+PAST_READINGS = _real("past", "tendon", "N",
+    "load-cell readings of the last 64 ticks, the latest first", rows=64, initial=NAN)  # fmt: skip
+COMPARED_READING = _real("reading", "tendon", "N",
+    "load-cell reading of this tick, compared with the past readings", initial=NAN)  # fmt: skip
+LONGEST_REPETITION = _whole("longest", "tendon", "",
+    "longest run of repeated readings, over all ages")  # fmt: skip
+REPETITIONS = _whole("same", "tendon", "", rows=64,
+    meaning="for each age in ticks, readings in a row that equal the reading of that age")  # fmt: skip
+SWING_SLOW = _real("swing_slow", "tendon", "N", "slow part of measured less commanded tension")
+SWING_SQUARE = _real("swing_square", "tendon", "N2",
+    "mean square of measured less commanded tension, without its slow part")  # fmt: skip
+SWING_S = _real("swing_s", "tendon", "s", "time for which the tension has oscillated strongly")
+REPORT_FORCES = _real("report_forces", "tendon", "N", rows=4, initial=NAN,
+    meaning="last three commanded forces and last reported force of the motor")  # fmt: skip
+REPORT_MOMENTS = _real("report_moments", "tendon", "N2",
+    "low-passed products of the increments of commanded and reported forces", rows=5)  # fmt: skip
+REPORT_ON_TIME = _real("report_on_time", "tendon", "",
+    "number of ticks in a row in which the motor replied in time")  # fmt: skip
 _MONITOR_END = {table: STATE.rows(table) for table in TABLES}
 
-# Monitor, beyond arming.
-LOST = _whole("lost", "node", "", "ticks without an answer, a bit each, of the last 50 and of the 50 before", rows=2)
-MALFORMED = _whole("misshapen", "node", "", "ticks with a frame of a wrong shape, a bit each, of the last 20")
-UNKNOWN = _real("unknown", "run", "1/s", "frames of unknown identifiers in about a second")
-OUTSTANDING = _whole("open_questions", "tendon", "", "number of questions that the motor has not answered")
-REQUEST_TICKS = _whole("question", "tendon", "", "ticks in which they were asked, the oldest first", rows=8)
-FAULT_TICKS = _whole("fault_ticks", "instance", "", "consecutive ticks in which each fault is present", rows=64)
+# Monitor. These fields are not reset when the hand is armed.
+LOST_REPLIES = _whole("lost", "node", "",
+    "ticks without a reply, one bit each: the last 50, and the 50 before", rows=2)  # fmt: skip
+MALFORMED = _whole("misshapen", "node", "",
+    "ticks with a frame of a wrong shape, one bit each: the last 20")  # fmt: skip
+UNKNOWN_RATE = _real("unknown", "run", "1/s",
+    "frames with unknown identifiers per second, averaged over about a second")  # fmt: skip
+OUTSTANDING_REQUESTS = _whole("open_questions", "tendon", "",
+    "number of requests that the motor has not answered")  # fmt: skip
+REQUEST_TICKS = _whole("question", "tendon", "",
+    "tick of each outstanding request, the oldest first", rows=8)  # fmt: skip
+FAULT_TICKS = _whole("fault_ticks", "instance", "",
+    "number of ticks in a row in which each fault is present", rows=64)  # fmt: skip
 
 # Facts of this tick that detectors judge.
 T_NS = _whole("t_ns", "run", "ns", "time of the tick")
-LATE_NS = _whole("late_ns", "run", "ns", "how late the tick began")
-MISSED = _whole("missed", "run", "", "ticks that were skipped before it")
-FRAMES = _whole("frames", "run", "", "frames received")
-UNKNOWN_FRAMES = _whole("strange", "run", "", "frames of unknown identifiers")
-REFUSED = _whole("refused", "run", "", "malformed requests in the last second")
-REFUSED_NOW = _whole("refused_now", "run", "", "requests refused in this tick")
-CHANGED = _whole("changed", "run", "", "a doubt of the filter or a blocked digit has changed in this tick")
-TARED = _whole("tared", "run", "", "the load cells' zero is known", initial=1)
-FOUND_NOW = _whole("found_now", "run", "", "faults that began to count in this tick")
+LATE_NS = _whole("late_ns", "run", "ns", "delay of the start of the tick")
+MISSED_TICKS = _whole("missed", "run", "", "number of ticks skipped before this tick")
+RECEIVED_FRAMES = _whole("frames", "run", "", "number of frames received in this tick")
+UNKNOWN_FRAMES = _whole("strange", "run", "",
+    "number of frames with unknown identifiers in this tick")  # fmt: skip
+REFUSED_REQUESTS = _whole("refused", "run", "", "number of malformed requests in the last second")
+REFUSED_REQUESTS_NOW = _whole("refused_now", "run", "", "number of requests refused in this tick")
+CONSISTENCY_CHANGED = _whole("changed", "run", "", "1 if DOUBTFUL or BLOCKED changed in this tick")
+TARED = _whole("tared", "run", "", "1 if the load cells' zero is known", initial=1)
+NEW_FAULTS = _whole("found_now", "run", "", "number of faults that became active in this tick")
 
 # The run.
 K = _whole("k", "run", "", "number of the last tick; -1 before the first", initial=-1)
-MODE = _whole("mode", "run", "", "core.types.Mode")
-MODE_SINCE = _real("mode_since", "run", "s", "when the mode began")
-GOAL_TIME = _real("goal_time", "run", "s", "time that the program was given; stands still while safety holds")
-ARMED = _whole("armed", "run", "", "arming is requested")
-CLEARING = _whole("clearing", "run", "", "what the drives have latched is being cleared, before they are armed")
+MODE = _whole("mode", "run", "", "mode of the hand, core.types.Mode")
+MODE_SINCE = _real("mode_since", "run", "s", "time at which the mode began")
+GOAL_TIME = _real("goal_time", "run", "s",
+    "time of the program, which stands still while safety holds the hand")  # fmt: skip
+ARMING_REQUESTED = _whole("armed", "run", "", "1 if arming is requested")
+CLEARING = _whole("clearing", "run", "",
+    "1 while latched errors of the drives are cleared before arming")  # fmt: skip
 
 
 class Tables(NamedTuple):
-    """Tables of a block of ``STATE``, each (rows, length of the axis), ``run`` and ``run_int`` (rows,)."""
+    """Tables of a block of ``STATE``, each (rows, length of the axis). ``run`` and ``run_int`` are (rows,)."""
 
     tendon: NDArray[np.float64]
     joint: NDArray[np.float64]
@@ -305,8 +456,8 @@ def state_tables(block: Block, at: Places) -> Tables:
     """Return the tables of a block.
 
     Args:
-        block: the state.
-        at: ``Layout.places``.
+        block: state block.
+        at: ``Layout.places`` of the block.
     """
     whole = block.view(np.int64)
     return Tables(
@@ -335,12 +486,12 @@ JOINT_END = _MONITOR_END["joint"]
 JOINT_INT_FIRST = _MONITOR_FIRST["joint_int"]
 JOINT_INT_END = _MONITOR_END["joint_int"]
 RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
-"""Rows reset when the hand is armed."""
+"""First and last rows of each table that are reset when the hand is armed."""
 
 
 @inner
 def reset_monitor(x: Tables, initial: Tables) -> None:
-    """Reset what the fault detectors remember of a hand under torque."""
+    """Reset the memory of the fault detectors that need a hand under torque."""
     for n in range(x.tendon.shape[1]):
         for row in range(TENDON_FIRST, TENDON_END):
             x.tendon[row, n] = initial.tendon[row, n]

@@ -1,7 +1,7 @@
-"""Constants of a hand for compiled code, as a block beside the block of the state.
+"""Constants of a hand for compiled code, in a block of their own besides the state block.
 
 ``HandConstants`` fills the block from a ``HandModel``, from drives and from sensors.
-``constant_tables`` gives compiled code the tables by name. New gains make a new block.
+``constant_tables`` returns the tables by name, for compiled code. New gains need a new block.
 """
 
 from typing import NamedTuple
@@ -27,116 +27,167 @@ _whole = HAND.whole
 
 # Tendons and motors, at the spool.
 MOTOR_MASS = _real("motor_mass", "tendon", "kg", "reflected rotor inertia")
-MOTOR_DAMPING = _real("motor_damping", "tendon", "N s/m", "of the motor")
-COULOMB = _real("coulomb", "tendon", "N", "motor friction")
-STIFFNESS = _real("stiffness", "tendon", "N/m", "of the tendon")
-LOAD_STIFFNESS = _real("load_stiffness", "tendon", "N/m", "return springs along the tendon")
-LOAD_DAMPING = _real("load_damping", "tendon", "N s/m", "joint damping along the tendon")
-SPOOL = _real("spool", "tendon", "m", "radius")
-TARE = _real("tare", "tendon", "N", "load-cell tare")
-ZERO = _real("zero", "tendon", "rad", "motor zero")
-CAPSTAN = _real("capstan", "tendon", "", "friction coefficient of the pulleys")
-WRAP = _real("wrap", "tendon", "rad", "wrap angle before the first joint pulley")
-FLOOR = _real("floor", "tendon", "N", "smallest tension")
-CEILING = _real("ceiling", "tendon", "N", "largest tension")
-TORQUE_GAIN = _real("torque_gain", "tendon", "", "torque at the spool over what the drive is told")
-DIGIT = _whole("digit", "tendon", "", "index of the tendon's digit")
-SIDE = _real("side", "tendon", "", "1 for a tendon that closes its digit, -1 for one that opens it")
+MOTOR_DAMPING = _real("motor_damping", "tendon", "N s/m", "viscous friction of the motor")
+MOTOR_COULOMB = _real("coulomb", "tendon", "N", "Coulomb friction of the motor")
+TENDON_STIFFNESS = _real("stiffness", "tendon", "N/m", "stiffness of the tendon")
+LOAD_STIFFNESS = _real("load_stiffness", "tendon", "N/m",
+    "stiffness of the return springs along the tendon")  # fmt: skip
+LOAD_DAMPING = _real("load_damping", "tendon", "N s/m", "damping of the joints along the tendon")
+SPOOL_RADIUS = _real("spool", "tendon", "m", "radius of the spool")
+CELL_TARE = _real("tare", "tendon", "N", "tare of the load cell")
+MOTOR_ZERO = _real("zero", "tendon", "rad", "motor position at which the travel is zero")
+CAPSTAN_COEFFICIENT = _real("capstan", "tendon", "", "friction coefficient of the pulleys")
+WRAP_ANGLE = _real("wrap", "tendon", "rad", "wrap angle before the first joint pulley")
+TENSION_FLOOR = _real("floor", "tendon", "N", "smallest tension of the control law")
+TENSION_CEILING = _real("ceiling", "tendon", "N", "largest tension of the control law")
+TORQUE_GAIN = _real("torque_gain", "tendon", "",
+    "torque at the spool divided by the torque that the drive is commanded")  # fmt: skip
+DIGIT_OF_TENDON = _whole("digit", "tendon", "", "index of the tendon's digit")
+CLOSING_SIGN = _real("side", "tendon", "",
+    "1 for a tendon that closes its digit, -1 for one that opens it")  # fmt: skip
 OPEN_EXCURSION = _real("open_excursion", "tendon", "m", "excursion at the lower joint limits")
 EXCURSION_LOW = _real("excursion_low", "tendon", "m", "smallest excursion within the joint limits")
 EXCURSION_HIGH = _real("excursion_high", "tendon", "m", "largest excursion within the joint limits")
-BLIND = _real("blind", "tendon", "N", "margin of an estimated tension without load cell, 0 with load cell")
-RELAXED = _real("relaxed", "tendon", "N", "tension of a relaxed hand")
-BALANCE = _real("balance", "tendon", "N", "tensions of a digit without torque, 0 without surplus tendons")
-PRETENSION = _real("pretension", "tendon", "N", "of both tendons of a spool pair at rest, 0 for a single tendon")
-PAIR = _whole("pair", "tendon", "", "two antagonistic tendons on one spool: tensions are net, of both signs")
-SPRUNG = _whole("sprung", "tendon", "", "springs return the digit to its lower joint limits")
-REDUNDANT = _whole("redundant", "tendon", "", "the digit has more tendons than coordinates")
-ABSOLUTE = _whole("absolute", "tendon", "", "a newly taut tendon keeps its length, its excursion follows")
+BLIND_MARGIN = _real("blind", "tendon", "N",
+    "margin of limits for a tension estimated without load cell; 0 with load cell")  # fmt: skip
+RELAXED_TENSION = _real("relaxed", "tendon", "N", "tension of a relaxed hand")
+BALANCE_TENSION = _real("balance", "tendon", "N",
+    "tension in the digit's null space, without torque; 0 without surplus tendons")  # fmt: skip
+PRETENSION = _real("pretension", "tendon", "N",
+    "pretension of both tendons of a spool pair; 0 for a single tendon")  # fmt: skip
+IS_SPOOL_PAIR = _whole("pair", "tendon", "",
+    "1 for two antagonistic tendons on one spool, whose net tension has both signs")  # fmt: skip
+HAS_RETURN_SPRINGS = _whole("sprung", "tendon", "",
+    "1 if springs return the digit to its lower joint limits")  # fmt: skip
+HAS_SURPLUS = _whole("redundant", "tendon", "", "1 if the digit has more tendons than coordinates")
+KEEPS_LENGTH = _whole("absolute", "tendon", "",
+    "1 if the tendon keeps its length when it becomes taut, so that its excursion follows")  # fmt: skip
 
 # Control law.
-LIMIT = _real("limit", "tendon", "N", "largest motor force")
-UNWIND = _real("unwind", "tendon", "N", "smallest motor force")
-MASS = _real("mass", "tendon", "kg", "mass that the feedback accelerates")
-INERTIA = _real("inertia", "tendon", "kg", "mass that the trajectory's acceleration moves")
+FORCE_MAX = _real("limit", "tendon", "N", "largest motor force")
+FORCE_MIN = _real("unwind", "tendon", "N", "smallest motor force")
+FEEDBACK_MASS = _real("mass", "tendon", "kg", "mass that the feedback accelerates")
+FEEDFORWARD_MASS = _real("inertia", "tendon", "kg",
+    "mass for which the trajectory's acceleration is fed forward")  # fmt: skip
 ERROR_GAIN = _real("error_gain", "tendon", "1/s2", "motion loop: acceleration per excursion error")
 SPEED_GAIN = _real("speed_gain", "tendon", "1/s", "motion loop: acceleration per speed error")
 TENSION_GAIN = _real("tension_gain", "tendon", "", "tension loop: force per newton of error")
 TENSION_SPEED_GAIN = _real("tension_speed_gain", "tendon", "N s/m", "tension loop: force per speed")
-HALF = _real("half", "tendon", "m/(N s)", "speed that a force makes in half a period")
-STOPPING = _real("stopping", "tendon", "m/s", "scale of speeds that motor friction stops within a period")
-SERVO = _whole("servo", "tendon", "", "the drive closes the position loop of a motion")
-SERVO_STIFFNESS = _real("servo_stiffness", "tendon", "N m/rad", "kp of this loop")
-SERVO_DAMPING = _real("servo_damping", "tendon", "N m s/rad", "kd of this loop")
-SERVO_KP_STEP = _real("servo_kp_step", "tendon", "N m/rad", "one count of kp", initial=1.0)
-SERVO_KD_STEP = _real("servo_kd_step", "tendon", "N m s/rad", "one count of kd", initial=1.0)
-SERVO_ROUNDING = _real("servo_rounding", "tendon", "N", "force of this loop by one count of its inputs")
-EXACT = _whole("exact", "tendon", "", "a joint torque asks one tension and no other")
-REJECTION = _real("rejection", "run", "", "fraction of the disturbance that is cancelled")
-FRICTION_FRACTION = _real("friction_fraction", "run", "", "fraction of pulley friction that is made up for")
-TENSION_FEEDBACK = _real("tension_feedback", "run", "", "inner tension loop of a moving digit")
-INTEGRAL_GAIN = _real("integral_gain", "run", "", "tension loop: integral gain times the period")
+HALF_PERIOD_SPEED = _real("half", "tendon", "m/(N s)",
+    "speed that a force of 1 N gives the rotor in half a period")  # fmt: skip
+FRICTION_STOP_SPEED = _real("stopping", "tendon", "m/s",
+    "scale of speeds that motor friction stops within a period")  # fmt: skip
+DRIVE_CLOSES_LOOP = _whole("servo", "tendon", "",
+    "1 if the drive closes the position loop of a motion")  # fmt: skip
+SERVO_STIFFNESS = _real("servo_stiffness", "tendon", "N m/rad", "kp of the drive's position loop")
+SERVO_DAMPING = _real("servo_damping", "tendon", "N m s/rad", "kd of the drive's position loop")
+SERVO_KP_STEP = _real("servo_kp_step", "tendon", "N m/rad",
+    "resolution of kp in the command", initial=1.0)  # fmt: skip
+SERVO_KD_STEP = _real("servo_kd_step", "tendon", "N m s/rad",
+    "resolution of kd in the command", initial=1.0)  # fmt: skip
+SERVO_ROUNDING = _real("servo_rounding", "tendon", "N",
+    "force of the drive's position loop for one count of position and speed")  # fmt: skip
+HAS_UNIQUE_TENSIONS = _whole("exact", "tendon", "",
+    "1 if a joint torque determines the tensions of the digit")  # fmt: skip
+DISTURBANCE_REJECTION = _real("rejection", "run", "",
+    "fraction of the estimated motor disturbance that is cancelled")  # fmt: skip
+FRICTION_FRACTION = _real("friction_fraction", "run", "",
+    "fraction of pulley and motor friction that is compensated")  # fmt: skip
+TENSION_FEEDBACK = _real("tension_feedback", "run", "",
+    "gain of the inner tension loop of a moving digit")  # fmt: skip
+INTEGRAL_GAIN = _real("integral_gain", "run", "",
+    "integral gain of the tension loop, times the period")  # fmt: skip
 PERIOD = _real("period", "run", "s", "control period")
 STREAM_SPEED = _real("stream_speed", "run", "rad/s", "largest rate of a streamed motion")
-STREAM_ACCELERATION = _real("stream_acceleration", "run", "rad/s2", "largest acceleration of a streamed motion")
+STREAM_ACCELERATION = _real("stream_acceleration", "run", "rad/s2",
+    "largest acceleration of a streamed motion")  # fmt: skip
 STREAM_HOLD_NS = _whole("stream_hold_ns", "run", "ns", "age of a target after which the hand holds")
-STREAM_RELAX_NS = _whole("stream_relax_ns", "run", "ns", "age of a target after which the hand relaxes")
-TRIM_DECAY = _real("trim_kept", "run", "", "fraction of a trim that is left after a tick")
+STREAM_RELAX_NS = _whole("stream_relax_ns", "run", "ns",
+    "age of a target after which the hand relaxes")  # fmt: skip
+TRIM_DECAY = _real("trim_kept", "run", "", "fraction of a trim that remains after a tick")
 
 # Joints and links.
-SPRING = _real("spring", "joint", "N m/rad", "return spring")
-PRELOAD = _real("preload", "joint", "rad", "of the spring")
-JOINT_DAMPING = _real("joint_damping", "joint", "N m s/rad", "viscous")
-LINK = _real("link", "joint", "", "frames and bodies of the links, see hand.rigid_body", rows=rigid_body.ROWS)
-PARENT = _whole("parent", "joint", "", "joint before; -1 for the palm")
-LOW = _real("low", "joint", "rad", "smallest angle")
-HIGH = _real("high", "joint", "rad", "largest angle")
-RANGE_SIGMA = _real("range_sigma", "joint", "rad", "standard deviation of an angle anywhere in the range")
-ENCODER_VARIANCE = _real("encoder_variance", "joint", "rad2", "of a joint encoder's reading")
-LOOSE = _whole("loose", "joint", "", "the joint has an encoder and its digit a null space")
+SPRING_STIFFNESS = _real("spring", "joint", "N m/rad", "stiffness of the return spring")
+SPRING_PRELOAD = _real("preload", "joint", "rad", "preload of the return spring")
+JOINT_DAMPING = _real("joint_damping", "joint", "N m s/rad", "viscous damping of the joint")
+LINK_TABLE = _real("link", "joint", "",
+    "frames and bodies of the links, see hand.rigid_body", rows=rigid_body.ROWS)  # fmt: skip
+PARENT_JOINT = _whole("parent", "joint", "",
+    "index of the joint before, towards the palm; -1 for the first")  # fmt: skip
+JOINT_MIN = _real("low", "joint", "rad", "smallest joint angle")
+JOINT_MAX = _real("high", "joint", "rad", "largest joint angle")
+RANGE_SIGMA = _real("range_sigma", "joint", "rad",
+    "standard deviation of an angle of which only the range is known")  # fmt: skip
+ENCODER_VARIANCE = _real("encoder_variance", "joint", "rad2",
+    "variance of a joint encoder's reading")  # fmt: skip
+IS_FUSED = _whole("loose", "joint", "",
+    "1 if the joint has an encoder and its digit has a null space")  # fmt: skip
 GRAVITY = _real("gravity", "run", "m/s2", "gravity in the palm frame", rows=3)
-JOINTS_FIRST = _whole("joints_first", "digit", "", "first joint")
-JOINTS_END = _whole("joints_end", "digit", "", "joint after the last")
-TENDONS_FIRST = _whole("tendons_first", "digit", "", "first tendon")
-TENDONS_END = _whole("tendons_end", "digit", "", "tendon after the last")
-COORDINATES_FIRST = _whole("coordinates_first", "digit", "", "first coordinate")
-COORDINATES_END = _whole("coordinates_end", "digit", "", "coordinate after the last")
+JOINTS_FIRST = _whole("joints_first", "digit", "", "index of the digit's first joint")
+JOINTS_END = _whole("joints_end", "digit", "", "index of the joint after the digit's last")
+TENDONS_FIRST = _whole("tendons_first", "digit", "", "index of the digit's first tendon")
+TENDONS_END = _whole("tendons_end", "digit", "", "index of the tendon after the digit's last")
+COORDINATES_FIRST = _whole("coordinates_first", "digit", "",
+    "index of the digit's first coordinate")  # fmt: skip
+COORDINATES_END = _whole("coordinates_end", "digit", "",
+    "index of the coordinate after the digit's last")  # fmt: skip
 
 # Structure.
-EXCURSION_TO_JOINTS = _real("excursion_to_joints", "joint*tendon", "rad/m", "joint angles of an excursion")
-POSTURE_TORQUE = _real("posture_torque", "joint*tendon", "m", "joint torque of tensions in the digits' coordinates")
-MOVES = _real("moves", "joint*tendon", "", "1 where a joint angle follows from a tendon's excursion")
+EXCURSION_TO_JOINTS = _real("excursion_to_joints", "joint*tendon", "rad/m",
+    "joint angles per excursion")  # fmt: skip
+POSTURE_TORQUE = _real("posture_torque", "joint*tendon", "m",
+    "joint torque per tension, projected onto the coordinates of the digits")  # fmt: skip
+MOVES_JOINT = _real("moves", "joint*tendon", "",
+    "1 if the joint angle depends on the tendon's excursion")  # fmt: skip
 MOMENT_ARMS = _real("moment_arms", "tendon*joint", "m", "moment arms R")
-CARRIER_ARMS = _real("carrier_arms", "tendon*joint", "m", "moment arms about joints that carry the tendon's digit")
-HAND_PASSED = _whole("hand_passed", "run", "", "a tendon of the hand has such a moment arm")
-TORQUE_TO_TENSION = _real("torque_to_tension", "tendon*joint", "1/m", "smallest tensions that make a torque")
-PULLEY_WEIGHT = _real("pulley_weight", "tendon*joint", "", "fraction of each pulley in a tendon's moment arms")
-COUPLING = _real("coupling", "joint*coordinate", "", "joint angles of coordinates")
-REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms about coordinates")
+CARRIER_ARMS = _real("carrier_arms", "tendon*joint", "m",
+    "moment arms about joints that carry the tendon's digit")  # fmt: skip
+HAS_CARRIER_ARMS = _whole("hand_passed", "run", "",
+    "1 if a tendon of the hand has a moment arm about a carrying joint")  # fmt: skip
+TORQUE_TO_TENSION = _real("torque_to_tension", "tendon*joint", "1/m",
+    "smallest tensions per joint torque")  # fmt: skip
+PULLEY_WEIGHTS = _real("pulley_weight", "tendon*joint", "",
+    "moment arm at a pulley, as a fraction of the sum over all pulleys of the tendon")  # fmt: skip
+COUPLING = _real("coupling", "joint*coordinate", "", "joint angles per coordinate")
+REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms about the coordinates")
 
-# Moment arms by joint angle. The tables of ``structure`` that depend on R are then those at the present angles.
-VARYING = _whole("varying", "tendon", "", "a moment arm of the tendon depends on the joint angle")
-DIGIT_VARYING = _whole("digit_varying", "digit", "", "a tendon of the digit has such a moment arm")
-HAND_VARYING = _whole("hand_varying", "run", "", "a tendon of the hand has such a moment arm")
-ARM_POLYNOMIAL = _real("arm_polynomial", "tendon*joint", "m", "coefficients of the arm by the angle in rad",
-                       rows=COEFFICIENTS)  # fmt: skip
-ANGLE_OFFSET = _real("angle_offset", "joint", "rad", "free joint angle at zero excursion, of the linear relations")
-EXPLAINED_OFFSET = _real("explained_offset", "tendon", "m", "excursion beyond R q, of the linear relations")
-MEAN_BALANCE = _real("mean_balance", "tendon", "N", "balance with mean moment arms")
+# Moment arms that depend on the joint angle. The tables above that depend on R are then for the
+# present angles.
+HAS_VARYING_ARM = _whole("varying", "tendon", "",
+    "1 if a moment arm of the tendon depends on the joint angle")  # fmt: skip
+DIGIT_VARYING = _whole("digit_varying", "digit", "",
+    "1 if a moment arm of the digit depends on the joint angle")  # fmt: skip
+HAND_VARYING = _whole("hand_varying", "run", "",
+    "1 if a moment arm of the hand depends on the joint angle")  # fmt: skip
+ARM_POLYNOMIAL = _real("arm_polynomial", "tendon*joint", "m", rows=COEFFICIENTS,
+    meaning="coefficients of the moment arm as a polynomial of the joint angle in rad")  # fmt: skip
+ANGLE_OFFSET = _real("angle_offset", "joint", "rad",
+    "joint angle at zero excursion, by the linear relation at the present angles")  # fmt: skip
+EXPLAINED_OFFSET = _real("explained_offset", "tendon", "m",
+    "excursion less R R^+ s, by the linear relation at the present angles")  # fmt: skip
+MEAN_BALANCE = _real("mean_balance", "tendon", "N", "balance tension with the mean moment arms")
 
 # Posture in the null space.
-COMPLIANCE = _real("compliance", "joint*joint", "rad/(N m)", "joint angles per torque at constant excursion")
-SPREAD = _real("spread", "joint*joint", "", "joint torques in the digits' coordinates and back")
-SAME_DIGIT = _real("same_digit", "joint*joint", "", "1 where two joints are of one digit")
-PLACE_WEIGHT = _real("place_weight", "place*joint", "", "probability of each place")
-EXCURSION_VARIANCE = _real("excursion_variance", "tendon", "m2", "of an excursion, that of the stretch aside")
-TURN_FRACTION = _real("turn_fraction", "run", "", "fraction of a new turn in the smoothed one")
-PRESSED_DECAY = _real("pressed_kept", "run", "", "fraction of a contact that is left after a tick")
-NULL_SPACE = _whole("null_space", "run", "", "a digit has a null space")
-JOINTS_FUSED = _whole("joints_fused", "run", "", "a joint of such a digit has an encoder")
-POSTURE_TICKS = _whole("posture_ticks", "run", "", "ticks from one estimate in the null space to the next")
+COMPLIANCE = _real("compliance", "joint*joint", "rad/(N m)",
+    "joint angles per joint torque at constant excursion")  # fmt: skip
+COORDINATE_PROJECTION = _real("spread", "joint*joint", "",
+    "projection of joint torques onto the coordinates, B B^T")  # fmt: skip
+SAME_DIGIT = _real("same_digit", "joint*joint", "", "1 if two joints belong to one digit")
+PLACE_WEIGHT = _real("place_weight", "place*joint", "", "probability of each place of contact")
+EXCURSION_VARIANCE = _real("excursion_variance", "tendon", "m2",
+                           "variance of an excursion, without the part of the stretch")  # fmt: skip
+TURN_FRACTION = _real("turn_fraction", "run", "",
+    "fraction of the difference by which the smoothed turn approaches a new one")  # fmt: skip
+CONTACT_DECAY = _real("pressed_kept", "run", "",
+    "fraction of the contact tension that remains after a tick")  # fmt: skip
+HAS_NULL_SPACE = _whole("null_space", "run", "", "1 if a digit of the hand has a null space")
+HAS_FUSED_JOINTS = _whole("joints_fused", "run", "",
+    "1 if a joint of a digit with a null space has an encoder")  # fmt: skip
+POSTURE_TICKS = _whole("posture_ticks", "run", "",
+    "ticks from one estimate in the null space to the next")  # fmt: skip
 
-# Tension filter: blocks of a tendon in one kind (a regime, or 3 and a regime in doubt), element by element.
+# Tension filter: design of each tendon and kind, element by element. A kind is a regime, plus 3
+# with added noise.
 DESIGN = _real("design", "tendon*kind*element", "", "blocks of the filter, see the elements below")
 F_AT = 0
 B_AT = 49
@@ -145,62 +196,85 @@ Q_AT = 84
 R_AT = 133
 P_AT = 135
 H_AT = 184
-TENSION_AT = 205
+TENSION_ROW_AT = 205
 INFORMATION_AT = 212
-VARIANCE_AT = 215
+TENSION_VARIANCE_AT = 215
 CELL_SIGMA_AT = 216
-DRIFT_AT = 217
-KNOWN_AT = 218
+CELL_ERROR_VARIANCE_AT = 217
+CELL_ERROR_OBSERVABLE_AT = 218
 ELEMENTS = 219
-"""Number of elements of a filter design. The constants above are the first elements of the parts.
+"""Number of elements of a filter design. The constants above are the first element of each part.
 
-F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), tension row (7), inverse
-covariance of the innovations (encoder squared, twice the product, load cell squared), and single
-numbers.
+The parts are F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), the tension row
+(7), the inverse covariance of the innovations (encoder squared, twice the product, load cell
+squared), and four single numbers, see ``filter_stack.FilterBlock``.
 """
 KINDS = 6
 
-# Contact and grip: fractions of what is new that averages take in a tick.
-TIP_FORCE_FRACTION = _real("felt_fraction", "run", "", "of the force felt")
-TIP_FORCE_MEAN_FRACTION = _real("usual_fraction", "run", "", "of its mean")
-DRIFT_FRACTION = _real("drift_fraction", "run", "", "of its long mean")
-FAST_FRACTION = _real("fast_fraction", "run", "", "of a grip's quick average")
-SLOW_FRACTION = _real("slow_fraction", "run", "", "of its slow average")
+# Contact and grip: update fraction of each low-pass filter, in a tick.
+TIP_FORCE_FRACTION = _real("felt_fraction", "run", "",
+    "update fraction of the smoothed force at the tip")  # fmt: skip
+TIP_FORCE_MEAN_FRACTION = _real("usual_fraction", "run", "",
+    "update fraction of the mean force at the tip")  # fmt: skip
+DRIFT_FRACTION = _real("drift_fraction", "run", "",
+    "update fraction of the drift of the force at the tip")  # fmt: skip
+GRIP_FAST_FRACTION = _real("fast_fraction", "run", "",
+    "update fraction of the fast average of a grip")  # fmt: skip
+GRIP_SLOW_FRACTION = _real("slow_fraction", "run", "",
+    "update fraction of the slow average of a grip")  # fmt: skip
 
 # Touch and monitor.
-TOUCH_DECAY = _real("touch_kept", "run", "", "fraction of the smoothed unexplained tension that is kept in a tick")
+TOUCH_DECAY = _real("touch_kept", "run", "",
+    "fraction of the smoothed unexplained tension that remains after a tick")  # fmt: skip
 STEP_LIMIT = _real("step_limit", "tendon", "rad", "largest step of a motor position in a period")
-JOINT_STEP_LIMIT = _real("joint_step_limit", "joint", "rad", "largest step of a joint angle in a period")
-RESIDUAL_FRACTION = _real("residual_fraction", "tendon", "", "fraction of what is new in each low-passed residual",
-                          rows=8)  # fmt: skip
-ARMS_SUM = _real("arms_sum", "tendon", "m", "sum of a tendon's moment arms")
-MOTOR_PERIOD = _real("motor_period", "tendon", "s", "how often the motor tells its position")
-JOINT_PERIOD = _real("joint_period", "run", "s", "how often joints are read")
-TENSION_TRIP = _real("tension_trip", "tendon", "N", "tension of one sample that means relax")
-DRIVE_LIMIT = _real("drive_limit", "tendon", "N", "tension that the drive's own torque limit can make")
-TORQUE_STEP = _real("torque_step", "tendon", "N", "one count of the drive's torque, 0 for a floating-point number")
-NOISE_LIMIT = _real("noise_limit", "run", "rad2", "mean squared jerk of a motor's position that means noise")
-TEMPERATURE_SOFT = _real("temperature_soft", "run", "degC", "from here on a tendon's limit falls")
-TEMPERATURE_HARD = _real("temperature_hard", "run", "degC", "here it has fallen to the floor")
-TENSION_RAIL = _real("tension_rail", "run", "N", "reading at which a load cell may be saturated")
-TENSION_LOW = _real("tension_low", "run", "N", "reading, after any tare, that no tendon can make")
-CELL_LOW = _real("cell_low", "run", "N", "reading before the tare at the lower end of a load cell's range")
-CELL_HIGH = _real("cell_high", "run", "N", "the same at the upper end")
-CYCLIC_NS = _whole("cyclic_ns", "tendon", "ns", "how often feedback comes by itself; 0 if every tick asks for it")
-ANSWERS_ONCE = _whole("answers_once", "tendon", "", "every command has exactly one answer")
+JOINT_STEP_LIMIT = _real("joint_step_limit", "joint", "rad",
+    "largest step of a joint angle in a period")  # fmt: skip
+RESIDUAL_FRACTION = _real("residual_fraction", "tendon", "",
+    "update fraction of each low-passed residual", rows=8)  # fmt: skip
+ARMS_SUM = _real("arms_sum", "tendon", "m", "sum of the absolute moment arms of a tendon")
+MOTOR_PERIOD = _real("motor_period", "tendon", "s",
+    "time between two reported positions of the motor")  # fmt: skip
+JOINT_PERIOD = _real("joint_period", "run", "s", "time between two readings of the joint encoders")
+TENSION_TRIP = _real("tension_trip", "tendon", "N",
+    "tension of a single sample above which the hand relaxes")  # fmt: skip
+DRIVE_LIMIT = _real("drive_limit", "tendon", "N", "tension at the drive's own torque limit")
+TORQUE_STEP = _real("torque_step", "tendon", "N",
+    "force of one count of the drive's torque; 0 for a floating-point torque")  # fmt: skip
+NOISE_LIMIT = _real("noise_limit", "run", "rad2",
+    "mean squared jerk of a motor's position above which the position counts as noisy")  # fmt: skip
+TEMPERATURE_SOFT = _real("temperature_soft", "run", "degC",
+    "drive temperature from which the tension limit falls")  # fmt: skip
+TEMPERATURE_HARD = _real("temperature_hard", "run", "degC",
+    "drive temperature at which the tension limit has fallen to the floor")  # fmt: skip
+TENSION_RAIL = _real("tension_rail", "run", "N",
+    "tared reading from which a load cell counts as saturated")  # fmt: skip
+TENSION_LOW = _real("tension_low", "run", "N",
+    "reading, after any tare, below which no tension can be")  # fmt: skip
+CELL_LOW = _real("cell_low", "run", "N",
+    "reading before the tare at the lower end of a load cell's range")  # fmt: skip
+CELL_HIGH = _real("cell_high", "run", "N",
+    "reading before the tare at the upper end of a load cell's range")  # fmt: skip
+CYCLIC_NS = _whole("cyclic_ns", "tendon", "ns",
+    "period of feedback that the drive sends by itself; 0 if every tick requests feedback")  # fmt: skip
+ANSWERS_ONCE = _whole("answers_once", "tendon", "", "1 if every command has exactly one answer")
 CELL_GROUP = _whole("cell_group", "tendon", "", "frame group of the load cell; -1 without one")
 JOINT_GROUP = _whole("joint_group", "joint", "", "frame group of the joint encoder; -1 without one")
 PERIOD_NS = _whole("period_ns", "run", "ns", "control period")
-MUTE_NS = _whole("mute_ns", "run", "ns", "silence after which joint encoders count as silent")
-SILENT_TICKS = _whole("silent_ticks", "run", "", "replies in a row that may be missing before a node counts as silent")
-ONE_SILENT_TICKS = _whole("one_silent_ticks", "run", "", "the same for a motor while another one answers")
-STALLED_TICKS = _whole("stalled_ticks", "run", "", "ticks in a row that may be missed before the host stood still")
-FRAMES_LIMIT = _whole("frames_limit", "run", "", "frames in one tick that are more than all nodes can have sent")
+MUTE_NS = _whole("mute_ns", "run", "ns",
+    "time without a reading after which joint encoders count as silent")  # fmt: skip
+SILENT_TICKS = _whole("silent_ticks", "run", "",
+    "missing replies in a row after which a node counts as silent")  # fmt: skip
+ONE_SILENT_TICKS = _whole("one_silent_ticks", "run", "",
+    "missing replies in a row after which a motor counts as silent while another answers")  # fmt: skip
+STALLED_TICKS = _whole("stalled_ticks", "run", "",
+    "missed ticks in a row after which the host counts as stalled")  # fmt: skip
+FRAMES_LIMIT = _whole("frames_limit", "run", "",
+    "number of frames in a tick above which the bus counts as flooded")  # fmt: skip
 TENSION_GROUPS = _whole("tension_groups", "run", "", "frame groups that carry tensions")
 
 
 class ConstantTables(NamedTuple):
-    """Tables of a block of ``HAND``, each (rows, lengths of the axes). The design is (N, kind, element)."""
+    """Tables of a block of ``HAND``, each (rows, lengths of the axes). ``design`` is (N, kind, element)."""
 
     tendon: NDArray[np.float64]
     joint: NDArray[np.float64]
@@ -223,8 +297,8 @@ def constant_tables(block: Block, at: Places) -> ConstantTables:
     """Return the tables of a hand's constants.
 
     Args:
-        block: the constants.
-        at: ``Layout.places``.
+        block: block of constants.
+        at: ``Layout.places`` of the block.
     """
     n = at[0]
     j = at[1]

@@ -1,7 +1,8 @@
-"""Import of scipy, filterpy and control without those of their packages' imports that handctl never uses.
+"""Import of scipy, filterpy and control without the modules that they import and handctl does not use.
 
-``scipy.stats``, ``scipy.ndimage`` and the plots of control take longer than all other imports of a run. Half of the
-import of ``scipy.linalg`` is for a Fortran compiler and test functions. Each is put off until a function of it is used.
+``scipy.stats``, ``scipy.ndimage`` and the plots of control take longer to import than all other
+modules of a run. Half of the time of ``scipy.linalg`` is for a Fortran compiler and test functions.
+Such a module is imported when one of its functions is used.
 """
 
 import importlib
@@ -38,7 +39,7 @@ class _Deferred:
 
 
 class _StandIn(ModuleType):
-    """A module of which every public name is deferred."""
+    """Module that imports the real module when one of its public names is used."""
 
     def __getattr__(self, name: str) -> _Deferred:
         if name.startswith("__"):  # the import system asks for __path__ and the like
@@ -48,7 +49,7 @@ class _StandIn(ModuleType):
 
 @contextmanager
 def deferred_imports() -> Iterator[None]:
-    """Stand in for the modules of ``UNUSED`` during an import, also as attributes of their packages."""
+    """Replace the modules of ``UNUSED`` during an import, also as attributes of their packages."""
     replaced = [name.rpartition(".") for name in UNUSED if name not in sys.modules]
     places = [(importlib.import_module(package), part) for package, _, part in replaced]
     for package, part in places:
@@ -65,11 +66,11 @@ def deferred_imports() -> Iterator[None]:
 def import_without_package(name: str) -> ModuleType:
     """Import a module of a package without the package's own ``__init__``.
 
-    A later import of the package is not affected. A module of the same name in the folder of the
-    user's program, such as ``control.py``, is passed over.
+    A later import of the package is not affected. A module with the package's name in the folder of
+    the user's program, such as ``control.py``, is ignored.
 
     Args:
-        name: the package, a dot, and the module.
+        name: full name of the module, for example ``control.mateqn``.
 
     Raises:
         ModuleNotFoundError: the package is not installed.

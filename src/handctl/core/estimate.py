@@ -1,4 +1,4 @@
-"""Estimate and measurements of a tick as arrays over the block, for programs."""
+"""Estimate and measurements of a tick, as views into the state block, for programs."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,13 @@ Table = NDArray[np.float64]
 
 
 class Estimate:
-    """Estimate of the present instant, (N,) each unless stated otherwise.
+    """Estimate of the present instant. Each property is (N,) unless its text gives another shape.
 
     Attributes:
-        tendon: table of the block.
-        joint: table of the block.
-        digit: table of the block.
-        regimes: (N,) 0 free, 1 held, 2 slack.
+        tendon: table ``tendon`` of the state block.
+        joint: table ``joint`` of the state block.
+        digit: table ``digit`` of the state block.
+        regimes: (N,) regime of each tendon: 0 free, 1 held, 2 slack.
     """
 
     __slots__ = ("digit", "joint", "regimes", "tendon")
@@ -25,10 +25,10 @@ class Estimate:
         """Keep the tables, without a copy.
 
         Args:
-            tendon: table of the block.
-            joint: table of the block.
-            digit: table of the block.
-            regimes: (N,) of the tendons.
+            tendon: table ``tendon`` of the state block.
+            joint: table ``joint`` of the state block.
+            digit: table ``digit`` of the state block.
+            regimes: (N,) regime of each tendon.
         """
         self.tendon = tendon
         self.joint = joint
@@ -43,11 +43,11 @@ class Estimate:
     @property
     def sigma(self) -> Vector:
         """Return the standard deviation of the tension [N]."""
-        return self.tendon[s.SIGMA]
+        return self.tendon[s.TENSION_SIGMA]
 
     @property
     def travel(self) -> Vector:
-        """Return the tendon wound at the spool [m]."""
+        """Return the length of tendon wound on the spool [m]."""
         return self.tendon[s.TRAVEL]
 
     @property
@@ -67,17 +67,17 @@ class Estimate:
 
     @property
     def disturbance(self) -> Vector:
-        """Return the force on the motor beyond the model [N]."""
+        """Return the force on the motor that the model does not explain [N]."""
         return self.tendon[s.DISTURBANCE]
 
     @property
     def external(self) -> Vector:
-        """Return the load force beyond the model, positive against closing: contact [N]."""
-        return self.tendon[s.EXTERNAL]
+        """Return the load force that the model does not explain, positive against closing [N]. Contact causes it."""
+        return self.tendon[s.EXTERNAL_TENSION]
 
     @property
     def offset(self) -> Vector:
-        """Return the stretch offset [m]."""
+        """Return the travel less the excursion at which the stretch begins [m]."""
         return self.tendon[s.STRETCH_OFFSET]
 
     @property
@@ -112,22 +112,22 @@ class Estimate:
 
     @property
     def contact_force(self) -> Vector:
-        """Return (D,) contact force at the tips of closing digits, without the mean before contact [N]."""
+        """Return (D,) contact force at the tips of closing digits, without errors before the contact [N]."""
         return self.digit[s.CONTACT_FORCE]
 
     @property
     def grip_opening(self) -> Vector:
-        """Return the opening of a grip along the tendons [m]."""
-        return np.asarray(self.tendon[s.GRIP_SLOW] - self.tendon[s.GRIP_FAST])
+        """Return the recent opening of a grip along the tendons [m]."""
+        return np.asarray(self.tendon[s.GRIP_TRAVEL_SLOW] - self.tendon[s.GRIP_TRAVEL_FAST])
 
     @property
     def grip(self) -> Vector:
-        """Return the tendon wound minus stretch, slowly averaged, up to a constant [m]."""
-        return self.tendon[s.GRIP_SLOW]
+        """Return the length wound minus stretch, averaged over 0.2 s [m]."""
+        return self.tendon[s.GRIP_TRAVEL_SLOW]
 
 
 class Measured:
-    """Measurements of a tick, (N,) each unless stated otherwise, NaN if missing."""
+    """Measurements of a tick, NaN if missing. Each property is (N,) unless its text gives another shape."""
 
     __slots__ = ("joint", "tendon")
 
@@ -135,20 +135,20 @@ class Measured:
         """Keep the tables, without a copy.
 
         Args:
-            tendon: table of the block.
-            joint: table of the block.
+            tendon: table ``tendon`` of the state block.
+            joint: table ``joint`` of the state block.
         """
         self.tendon = tendon
         self.joint = joint
 
     @property
     def travel(self) -> Vector:
-        """Return the encoder readings along the tendon, at the spool [m]."""
+        """Return the length wound on each spool, by the motor encoders [m]."""
         return self.tendon[s.MEASURED_TRAVEL]
 
     @property
     def position(self) -> Vector:
-        """Return the encoder readings at the spool [rad]."""
+        """Return the motor positions by the encoders, at the spool [rad]."""
         return self.tendon[s.MEASURED_POSITION]
 
     @property

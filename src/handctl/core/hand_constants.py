@@ -12,7 +12,7 @@ from handctl.core.constants import ELEMENTS, HAND, KINDS
 from handctl.core.deferred_imports import deferred_imports
 from handctl.core.detectors.residuals import TIME_CONSTANTS_S
 from handctl.core.estimation import contact, posture, touch
-from handctl.core.estimation.filter_stack import Block as FilterBlock
+from handctl.core.estimation.filter_stack import FilterBlock
 from handctl.core.estimation.structure import MIN_SPRING_STIFFNESS
 from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED, TRIM_TIME_S, UNWIND_FRACTION
 from handctl.core.law.servo import MAX_PHASE_RAD
@@ -26,7 +26,7 @@ with deferred_imports():
     from scipy.linalg import block_diag, null_space
 
 MIN_MOTION = 1e-9
-"""Smallest relevant entry of the excursion matrix, as a fraction of the largest.
+"""Entry of ``EXCURSION_TO_JOINTS`` above which a tendon moves a joint, as a fraction of the largest entry.
 
 Smaller entries are rounding errors.
 """
@@ -50,17 +50,17 @@ class HandConstants:
     """Constants of a hand with gains.
 
     Attributes:
-        layout: of the block.
-        block: read-only, except for the tables at the present angles of a hand with varying moment arms.
+        layout: layout of the block.
+        block: block of constants. It is read-only, unless a moment arm of the hand varies.
     """
 
     def __init__(self, model: HandModel, more: Mapping[str, object]) -> None:
         """Fill the block.
 
         Args:
-            model: the hand.
-            more: constants from outside of the model, by field: tare, zero, thresholds, drives and
-                sensors.
+            model: model of the hand.
+            more: constants that are not in the model, by field: tare, zero, thresholds, constants
+                of drives and sensors.
         """
         self.layout = layout_of_constants(model)
         self.block: Block = self.layout.initial.copy()
@@ -150,10 +150,11 @@ def _law_constants(model: HandModel) -> dict[str, object]:
 
 
 def servo_constants(model: HandModel) -> dict[str, Vector]:
-    """Return which drives close a position loop, and the stiffness and damping of these loops.
+    """Return True for drives that close a position loop, and the stiffness and damping of these loops.
 
-    The gains of the motion loop are the defaults. Another stiffness keeps their damping ratio. At
-    low control rates the stiffness is smaller than in the hand file, see ``servo.MAX_PHASE_RAD``.
+    Without values in the hand file, the loops have the gains of the motion loop. If the hand file
+    gives only the stiffness, the damping ratio is that of the motion loop. At low control rates the
+    stiffness is smaller than in the hand file, see ``servo.MAX_PHASE_RAD``.
     """
     space = model.space
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
@@ -218,7 +219,8 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
         "hand_varying": bool(model.hand.has_varying_arm.any()),
         "arm_polynomial": np.moveaxis(model.hand.arm_polynomials, 2, 0),
         "mean_balance": model.redundancy.balance,
-        # Zero for constant arms. ``estimation.structure`` writes them in each tick for varying ones.
+        # The offsets are zero for constant arms. ``estimation.structure`` writes them in each tick
+        # for varying arms.
         "angle_offset": 0.0,
         "explained_offset": 0.0,
         "torque_to_tension": model.torque_to_tension,
@@ -280,7 +282,7 @@ def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
 
 @functools.lru_cache(maxsize=16)
 def filter_design_array(model: HandModel) -> NDArray[np.float64]:
-    """Return the filter's blocks (N, KINDS, ELEMENTS), element by element."""
+    """Return all elements of the filter's designs, (N, KINDS, ELEMENTS)."""
     return np.array([[_block_elements(block) for block in tendon] for tendon in model.filter.blocks])
 
 
@@ -289,16 +291,16 @@ def _block_elements(block: FilterBlock) -> Vector:
     return np.concatenate((
         block.F.ravel(), block.B.ravel(), block.K.ravel(), block.Q.ravel(), block.R, block.P.ravel(), block.H.ravel(),
         block.tension_row, [information[0, 0], 2.0 * information[0, 1], information[1, 1]],
-        [block.tension_variance, block.cell_sigma, block.drift, float(block.known)],
+        [block.tension_variance, block.cell_sigma, block.cell_error_variance, float(block.cell_error_observable)],
     ))  # fmt: skip
 
 
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
     """Return the update fraction (8, N) of each low-passed residual, see ``detectors.residuals``."""
     every = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
-    every[2] = motor_period  # commanded against reported torque
-    every[5] = joint_period  # slip
+    every[2] = motor_period  # row COMMAND_DIFFERENCE
+    every[5] = joint_period  # row SLIP
     return np.asarray(1.0 - np.exp(-every / np.array(TIME_CONSTANTS_S)[:, None]))
 
 
-assert h.KNOWN_AT == ELEMENTS - 1
+assert h.CELL_ERROR_OBSERVABLE_AT == ELEMENTS - 1

@@ -18,32 +18,33 @@ TENDON_KEYS = {
     "capstan": "friction_coefficient",
     "pretension": "pretension_N",
 }
-"""Keys of the hand file's tendon table by identified parameter, replaced by the identified value."""
+"""Key of the hand file's tendon table that each identified parameter replaces."""
 MOTOR_KEYS = {
     "motor_inertia": "inertia_kg_m2",
     "motor_viscous": "viscous_N_m_s_per_rad",
     "motor_coulomb": "coulomb_N_m",
 }
-"""Keys of the hand file's motor table by identified parameter, replaced by the identified value."""
+"""Key of the hand file's motor table that each identified parameter replaces."""
 DIGIT_KEYS = {
     "spring_stiffness": "spring_stiffness_N_m_per_rad",
     "spring_preload": "spring_preload_rad",
     "joint_damping": "joint_damping_N_m_s_per_rad",
 }
-"""Keys of the hand file's digit table by identified parameter.
+"""Key of the hand file's digit table that each identified parameter scales.
 
-The parameters are factors on the values of all joints.
+The parameter is a factor on the values of all joints of the digit.
 """
 LENGTH_KEYS = ("polynomial_m", "arm_m")
-"""Keys with lengths in a moment arm that depends on the angle."""
+"""Keys with lengths in the table of a moment arm that depends on the joint angle."""
 UNITS = {
     "torque_gain": "1", "motor_inertia": "kg m2", "motor_viscous": "N m s/rad", "motor_coulomb": "N m", "delay": "s",
     "tendon_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
     "joint_damping": "x file", "moment_arm": "x file", "pretension": "N",
 }  # fmt: skip
-"""Unit of each parameter for identification. ``torque_gain`` is torque at the spool per commanded torque.
+"""Unit of each parameter that can be identified. ``x file`` is a factor on the value of the hand file.
 
-``moment_arm`` is one factor on the arms of a tendon at all its joints.
+``torque_gain`` is the torque at the spool per commanded torque. ``moment_arm`` is one factor on the
+arms of a tendon at all its joints.
 """
 
 FORMER_NAMES = {"rope_stiffness": "tendon_stiffness"}
@@ -51,30 +52,31 @@ FORMER_NAMES = {"rope_stiffness": "tendon_stiffness"}
 
 
 class Identified(Document):
-    """Identified parameters of a tendon, with motor and digit."""
+    """Identified parameters of a tendon, of its motor and of its digit."""
 
     names: tuple[str, ...] = Field(min_length=1)
-    """Names of the identified parameters, a part of ``UNITS``."""
+    """Names of the identified parameters, from ``UNITS``."""
     values: tuple[float, ...]
+    """Identified values, in the units of ``UNITS``."""
     half_widths: tuple[float, ...]
     """Half widths of the 95 % intervals."""
     covariance: tuple[tuple[float, ...], ...]
     """Covariance of the values in their units, rows and columns as ``names``."""
     missing: tuple[str, ...] = ()
-    """Parameters not identifiable from the data, each with the reason."""
+    """Parameters that the data cannot identify, each with the reason."""
     log: tuple[str, ...] = ()
-    """Logs of the runs behind the values."""
+    """Logs of the runs from which the values were identified."""
     made: str = ""
-    """Date and time, ISO 8601, UTC."""
+    """Date and time of the identification, ISO 8601, UTC."""
 
     @field_validator("names", mode="before")
     @classmethod
     def _replace_former_names(cls, names: object) -> object:
-        """Accept the names in calibrations that an earlier version has written."""
+        """Replace the names of earlier versions by the present names."""
         return tuple(FORMER_NAMES.get(name, name) for name in names) if isinstance(names, list | tuple) else names
 
     @model_validator(mode="after")
-    def _shapes(self) -> "Identified":
+    def _check_shapes(self) -> "Identified":
         n = len(self.names)
         unknown = set(self.names) - UNITS.keys()
         if unknown:
@@ -86,14 +88,14 @@ class Identified(Document):
         return self
 
     def get(self, name: str, otherwise: float) -> float:
-        """Return a value by name, or ``otherwise`` if the parameter was not identified."""
+        """Return the value of a parameter, or ``otherwise`` if it was not identified."""
         return self.values[self.names.index(name)] if name in self.names else otherwise
 
     def beside(self, older: "Identified | None") -> "Identified":
-        """Return these parameters, and those of an older identification that are missing here.
+        """Return these parameters, together with the parameters of an older identification that are missing here.
 
-        A run that excites few parameters must not remove the others. Parameters of different runs are
-        uncorrelated.
+        So a run that identifies few parameters does not remove the others. Parameters of different
+        runs are uncorrelated.
         """
         others = [i for i, name in enumerate(older.names) if name not in self.names] if older else []
         if older is None or not others:
@@ -115,14 +117,14 @@ class Identified(Document):
 
 
 def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
-    """Return the hand with identified parameters in place of the hand file's.
+    """Return the hand with identified parameters in place of the values of the hand file.
 
     Args:
-        hand: as in the file.
-        found: by tendon.
+        hand: description from the hand file.
+        found: identified parameters by tendon.
 
     Raises:
-        ConfigError: for a value outside of a hand file's bounds.
+        ConfigError: for a value that no hand file may contain.
     """
     content = copy.deepcopy(hand.content)
     for i, tendon in enumerate(hand.tendon):
@@ -138,12 +140,12 @@ def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
 
 
 def torque_gain(hand: Hand, found: dict[str, Identified]) -> Vector:
-    """Return (N,) torque at the spool per commanded torque of each drive."""
+    """Return (N,) the torque at the spool per commanded torque of each drive, 1 if not identified."""
     return np.array([found[t.name].get("torque_gain", 1.0) if t.name in found else 1.0 for t in hand.tendon])
 
 
 def check_identified(hand: Hand, found: dict[str, Identified], source: str) -> None:
-    """Refuse parameters of tendons unknown to the hand.
+    """Check that identified parameters belong to tendons of the hand.
 
     Raises:
         ConfigError: for an unknown tendon, or a torque gain out of bounds.

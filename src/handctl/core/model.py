@@ -1,4 +1,4 @@
-"""Model of a hand: all constants of a run, derived from hand description and gains."""
+"""Model of a hand: all constants of a run that follow from the hand description and the gains."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,40 +26,42 @@ with deferred_imports():
 BLIND_SIGMAS = 2.0
 """Margin of the limits of a tendon without load cell, in standard deviations of its estimated tension."""
 Inverse = Callable[[DigitModel, Values, Values, Values], tuple[float, ...]]
-"""Inverse dynamics of a digit: joint torque from digit, q, dq and ddq."""
+"""Inverse dynamics: a function of digit, joint angles, rates and accelerations that returns the joint torques."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandModel:
-    """A hand, the gains, and all quantities derived from both.
+    """A hand, its gains, and all quantities derived from both.
 
     Attributes:
-        hand: description.
-        gains: as tuned.
+        hand: description of the hand.
+        gains: gains of the controller.
         period: control period [s].
         digits: digit models, in file order.
         coupling: (J, C) joint angles per coordinate of the digits.
-        digit_tendons: for each digit, the slice of tendons in the hand's order.
-        digit_coordinates: for each digit, the slice of its coordinates among those of all digits.
+        digit_tendons: for each digit, the slice of its tendons among all tendons.
+        digit_coordinates: for each digit, the slice of its coordinates among all coordinates.
         reach: (2, C) lowest and highest value of each coordinate [rad].
-        space: the hand along the tendons.
+        space: constants of the hand along the tendons.
         filter: steady-state filter of each tendon.
         motion: feedback gains of each tendon.
         digit_of: for each tendon, the index of the digit.
         excursion_to_joints: (J, N) joint angles per excursion [rad/m].
         torque_to_tension: (N, J) smallest tensions per joint torque [1/m].
         pulleys: (N, J) 1 where a tendon passes a joint's pulley.
-        pulley_weights: (N, J) fraction of each pulley in a tendon's moment arms.
-        friction: (N,) capstan coefficient.
+        pulley_weights: (N, J) moment arm at each pulley, as a fraction of the sum over all pulleys
+            of the tendon.
+        friction: (N,) friction coefficient of the pulleys.
         wrap: (N,) wrap angle before the first joint pulley [rad].
         floor: (N,) smallest tension at the load cell [N], minus the ceiling for a spool pair.
         ceiling: (N,) largest tension at the load cell [N], of the net tension for a spool pair.
-        torque_limit: (N,) largest motor torque the host may command [N m].
-        redundancy: directions of the tendons, and tensions that hold each other.
-        tree: all links of the hand.
-        blind_margin: (N,) margin of limits for an estimated tension without load cell, 0 with one [N].
-        torque_gain: (N,) torque at the spool per commanded torque. None: not identified.
-        inverse: joint torque of a motion, from digit, q, dq and ddq. Experiments replace it.
+        torque_limit: (N,) largest motor torque that the host may command [N m].
+        redundancy: directions of the tendons, and tensions that are in balance.
+        tree: tree of all links of the hand.
+        blind_margin: (N,) margin of the limits for a tension that is estimated without load cell
+            [N]. It is 0 with load cell.
+        torque_gain: (N,) torque at the spool per commanded torque, None if not identified.
+        inverse: inverse dynamics of a digit. Experiments replace it.
     """
 
     hand: Hand
@@ -94,10 +96,11 @@ class HandModel:
         """Derive the model, and design all gains. The design takes about 0.1 s.
 
         Args:
-            hand: description.
-            gains: weights and noise assumptions.
+            hand: description of the hand.
+            gains: gains of the controller.
             rate_hz: control rate [Hz].
-            torque_gain: (N,) as identified.
+            torque_gain: (N,) identified torque at the spool per commanded torque, None if not
+                identified.
         """
         digits = tuple(DigitModel.of(hand, digit.name) for digit in hand.digit)
         space = tendon_space(hand, digits)
@@ -106,7 +109,8 @@ class HandModel:
         period = 1.0 / rate_hz
         filters = design_filter(space, gains.filter, period, _joint_period(hand, period))
         margin = np.where(hand.has_cell, 0.0, BLIND_SIGMAS * filters.held_sigma)
-        # The floor of tendons that springs return is the hand file's: more of it would close the digit.
+        # Only surplus tendons get the margin on the floor. In other digits a higher floor would
+        # close the digit.
         held = np.array(
             [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits for _ in digit.moment_arms]
         )
@@ -143,14 +147,14 @@ class HandModel:
 
     @property
     def tendon_count(self) -> int:
-        """Return N."""
+        """Return N, the number of tendons."""
         return len(self.floor)
 
     @property
     def relaxed(self) -> Vector:
         """Return the tensions (N,) of a relaxed hand [N].
 
-        Tendons that hold each other keep their balance. A spool pair has no net tension.
+        Surplus tendons keep their balance. A spool pair has no net tension.
         """
         single = np.where(self.redundancy.balance > 0.0, self.redundancy.balance, RELAX_FLOOR_N)
         return np.where(self.is_pair, 0.0, single)
@@ -167,23 +171,23 @@ class HandModel:
 
 
 def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
-    """Return the slice of each digit's coordinates among those of all digits."""
+    """Return the slice of each digit's coordinates among all coordinates."""
     counts = [digit.coupling.shape[1] for digit in digits]
     ends = np.cumsum(counts).tolist()
     return tuple(slice(end - count, end) for end, count in zip(ends, counts, strict=True))
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
-    """Return (N,) largest torque at the spool: the limit of the hand file, within the drive's range [N m].
+    """Return (N,) the largest torque at the spool [N m]: the limit of the hand file, within the drive's range.
 
-    A drive with less torque than commanded needs a larger command. A margin of 1e-12 covers
-    rounding in the division by spool and gain and the later product: drives refuse commands above
-    the limit, even by the last bit.
+    A drive that makes less torque than commanded needs a larger command, so its limit is lower. The
+    limit has a margin of 1e-12 for the rounding of divisions and products by spool and gain,
+    because drives refuse commands that exceed the limit even by the last bit.
     """
     largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (1.0 - 1e-12)
     return largest if gain is None else largest * np.minimum(gain, 1.0)
 
 
 def _joint_period(hand: Hand, period: float) -> Vector:
-    """Return (N,) time between readings of all joints of a tendon [s], inf if a joint has no encoder."""
+    """Return (N,) the time between two readings of all joints of a tendon [s], inf if a joint has no encoder."""
     return np.where(hand.covered, hand.sensor_node.joint_decimation * period, np.inf)

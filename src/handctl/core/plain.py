@@ -1,8 +1,8 @@
-"""Decisions as plain values, for the hash of the state and for snapshots: numbers, texts, bytes and tuples only.
+"""Conversion of decisions to plain values and back, for the hash of the state and for snapshots.
 
-A named tuple or dataclass becomes a tuple with the type's name at the front. Equal values have
-equal bytes, even where objects are shared. ``from_plain`` makes the objects again, of registered
-types only, so a log cannot name other types.
+Plain values consist of numbers, strings, bytes and tuples only. A named tuple or dataclass becomes
+a tuple that begins with the name of the type. Equal values have equal bytes, even if objects are
+shared. ``from_plain`` creates objects of registered types only, so that a log cannot create others.
 """
 
 import enum
@@ -15,9 +15,9 @@ import numpy as np
 from pydantic import BaseModel
 
 FORMAT = 2
-"""Version of ``marshal``: the last version without references between shared values."""
+"""Version of the format of ``marshal``: the last version without references to shared values."""
 ARRAY, MODEL, BYTES = ":array", ":model", ":bytes"
-"""Type marks of values other than named tuples and dataclasses."""
+"""Marks in place of a type name, for arrays, pydantic models and bytes."""
 NAMES_IN_LOGS = {
     "controller.pending_gains.PendingGains": "controller.coming.Coming",
     "drives.contract.DriveTarget": "drives.contract.Want",
@@ -27,14 +27,14 @@ NAMES_IN_LOGS = {
     "drives.odrive.progress.OdriveProgress": "drives.odrive.progress.Progress",
     "drives.cia402.progress.Cia402Progress": "drives.cia402.progress.Progress",
 }
-"""Renamed types and their first names. Hashes and snapshots in logs keep the first name."""
+"""First name of each renamed type. Hashes and snapshots in logs contain the first name."""
 _TYPES: dict[str, type] = {}
 _PLAIN = frozenset((type(None), bool, int, float, str, bytes))
 
 
 @functools.cache
 def plain_name(type_: type) -> str:
-    """Return the name of a type in plain form: module and class, before any renaming."""
+    """Return the name of a type in plain values: module and class, before any renaming."""
     name = f"{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
     return ":" + NAMES_IN_LOGS.get(name, name)
 
@@ -55,7 +55,7 @@ def to_plain(value: Any) -> Any:
     if kind in _PLAIN:
         return value
     if isinstance(value, tuple):
-        # A drive that is asked for a setting comes here in a tick: no call for what is plain already.
+        # This runs in ticks that read a drive's settings. For speed, plain items need no call.
         items = [item if type(item) in _PLAIN else to_plain(item) for item in value]
         return (plain_name(kind), *items) if hasattr(value, "_fields") else tuple(items)
     if isinstance(value, enum.IntEnum):
@@ -76,7 +76,7 @@ def plain_bytes(value: Any) -> bytes:
 
 
 def from_plain(value: Any) -> Any:
-    """Return the objects that a plain value stands for. Lists are accepted in place of tuples, as JSON has them.
+    """Return the object that a plain value represents. Lists from JSON are accepted in place of tuples.
 
     Raises:
         ValueError: if a type is not registered, or the value does not fit the type.

@@ -1,16 +1,16 @@
-"""A block of numbers with a schema: tables over tendons, joints, digits and other axes in contiguous memory.
+"""Blocks of numbers with a schema: tables over tendons, joints, digits and other axes in contiguous memory.
 
 A schema is a list of fields. A field is a row or several rows of a table. A table has an axis: a
-row of the table ``tendon`` has a number per tendon. The declaration of a field returns the index of
-the first row, for compiled code and controller::
+row of the table ``tendon`` has one number per tendon. The declaration of a field returns the index
+of its first row, for compiled code and controller::
 
     TENSION = STATE.real("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
-All tables of a schema share an array of float64. Integer tables are the same memory viewed as
-int64, and have names ending in ``_int``. A layout fixes the lengths of the axes for a hand. Copying
-a block means copying an array, the bytes are the snapshot, and a comparison of two blocks names the
-first different field.
+All tables of a schema share an array of float64, the block. Integer tables are parts of the block
+viewed as int64, and have names that end with ``_int``. A layout contains the lengths of the axes of
+a hand. So a block can be copied as an array, stored as bytes, and compared with another block field
+by field.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 Block = NDArray[np.float64]
 """All tables of a schema, in order."""
 Places = NDArray[np.int64]
-"""Lengths of the axes, then the first element of each table, then the end of the last, for compiled code."""
+"""Lengths of the axes, then the first element of each table, then the end of the last table, for compiled code."""
 
 INT = "_int"
 """Ending of the names of integer tables."""
@@ -33,12 +33,12 @@ class Field(NamedTuple):
     """A quantity in the block.
 
     Attributes:
-        name: of the quantity.
+        name: name of the quantity.
         table: name of the table.
         first: first row in the table.
         rows: number of rows.
-        unit: SI, empty for none.
-        meaning: description.
+        unit: SI unit, empty without a unit.
+        meaning: description of the quantity.
         initial: value before the first tick.
     """
 
@@ -57,8 +57,8 @@ class Schema:
     Attributes:
         tables: names of the tables in memory order. A name is an axis, or axes joined by ``*``,
             with ``_int`` at the end for integers.
-        optional: name of an axis of which many layouts have no element, empty without. Without an element it
-            leaves no trace in ``Layout.identity``.
+        optional: name of an axis that may have the length 0, empty if there is none. With the
+            length 0 it has no effect on ``Layout.identity``.
         fields: all fields, in the order of declaration.
     """
 
@@ -67,7 +67,7 @@ class Schema:
 
         Args:
             tables: names of the tables in memory order.
-            optional: see the class.
+            optional: name of an axis that may have the length 0, see the class.
         """
         self.tables = tables
         self.optional = optional
@@ -101,10 +101,10 @@ class Layout:
     """Positions of a schema's tables in a block, for axes of given lengths.
 
     Attributes:
-        schema: with the tables and fields.
+        schema: schema with the tables and fields.
         axes: length of each axis.
-        places: for compiled code: lengths of the axes, first element of each table, end of the
-            last.
+        places: lengths of the axes, first element of each table, and end of the last table, for
+            compiled code.
         size: number of elements of a block.
         identity: hash of 8 bytes over all fields and lengths.
         initial: block before the first tick, read-only.
@@ -114,8 +114,8 @@ class Layout:
         """Compute the positions.
 
         Args:
-            schema: with the tables and fields.
-            axes: length of each axis, in the order of the compiled code's indices.
+            schema: schema with the tables and fields.
+            axes: length of each axis, in the order in which compiled code indexes ``places``.
         """
         self.schema = schema
         self.axes = dict(axes)
@@ -174,9 +174,9 @@ class Layout:
     def difference(self, one: Block, other: Block) -> tuple[str, int, float, float] | None:
         """Return the first difference of two blocks in schema order: field, element, and both values.
 
-        Values are compared by bits, so NaN equals NaN. None if the blocks are equal.
+        The result is None if the blocks are equal. Values are compared by bits, so NaN equals NaN.
         """
-        # Compared as integers: NaN is then equal to itself, and 0.0 differs from -0.0.
+        # The comparison of integers makes NaN equal to NaN, and 0.0 different from -0.0.
         apart = np.flatnonzero(one.view(np.int64) != other.view(np.int64))
         if not len(apart):
             return None

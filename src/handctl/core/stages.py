@@ -1,15 +1,17 @@
-"""Compiled stages of a tick, in order. The controller decides between the stages (``controller.tick``).
+"""Compiled stages of a tick. Between the stages ``controller.tick`` makes decisions in Python.
 
-receive    frames -> values of drives and sensors                 ``wire``
+The stages in order, each with its input and result:
+
+receive    frames -> values of drives and sensors, see ``wire``
 observe    values -> measurements
-correct    measurements -> filter
-predict    the filter's states to the present                     ``filterpy``, by the controller
-conclude   filter -> tensions, touch, joint angles
-judge      all of the above -> faults
-refer      goals -> joint torques of the motion
-act        joint torques, goals, estimate -> motor torques
-remember   memory for the next tick's judgement, and the numbers for the log
-send       motor torques -> frames                                ``wire``
+correct    measurements -> filter states of the last tick, corrected
+predict    corrected states -> states at the present, by ``filterpy``
+conclude   states -> tensions, blocked digits, joint angles
+judge      measurements and estimate -> faults
+refer      goals -> required joint torques and tensions
+act        required tensions, goals, estimate -> motor torques
+store      commands -> memory for the next tick, numbers for the log
+send       motor torques -> frames, see ``wire``
 """
 
 import math
@@ -41,30 +43,30 @@ def observe_tick(block: Block, at: Places, constants: Block, constants_at: Place
     c = constant_tables(constants, constants_at)
     measure.write_measurements(x, c)
     if ARMING <= x.run_int[s.MODE] <= RELAX:
-        measure.reject_outliers(x, c, x.run_int[s.MISSED])
+        measure.reject_outliers(x, c, x.run_int[s.MISSED_TICKS])
     else:
-        measure.mark_unscreened(x)
+        measure.clear_rejected_steps(x)
     measure.convert_positions(x, c)
-    if not x.run_int[s.STARTED]:
+    if not x.run_int[s.FILTER_STARTED]:
         measure.start_filter(x, c)
 
 
 @kernel("block", "layout", "constants", "layout")
 def correct_estimate(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
-    """Correct the filter by the measurements, and judge slack, stops and contact."""
+    """Correct the filter by the measurements, and judge slack, stops and contact of each tendon."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if c.run_int[h.HAND_VARYING]:
         structure.update_structure(x, c)
-    if x.run_int[s.STARTED]:
-        kalman.correct_filter(x, c, x.run_int[s.MISSED])
+    if x.run_int[s.FILTER_STARTED]:
+        kalman.correct_filter(x, c, x.run_int[s.MISSED_TICKS])
     else:
         kalman.write_unknown_estimate(x)
 
 
 @kernel("block", "layout", "constants", "layout")
 def conclude_estimate(block: Block, at: Places, constants: Block, constants_at: Places) -> bool:
-    """Derive the estimate from the predicted filter. Return True if a node sent excess replies."""
+    """Derive the estimate from the predicted states. Return True if a node sent more replies than requests."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if c.run_int[h.HAND_VARYING]:
@@ -76,7 +78,7 @@ def conclude_estimate(block: Block, at: Places, constants: Block, constants_at: 
         touch.reset_blocked(x)
     for j in range(x.joint.shape[1]):
         x.joint[s.Q_SIGMA, j] = math.nan
-    if x.run_int[s.STARTED]:
+    if x.run_int[s.FILTER_STARTED]:
         posture.estimate_joint_angles(x, c, x.run_int[s.K], x.run_int[s.T_NS])
     contact.update_tip_forces(x, c)
     contact.average_grip_travel(x, c)
@@ -95,7 +97,7 @@ def find_faults(
 
 @kernel("block", "layout", "constants", "layout", "count")
 def evaluate_goals(block: Block, at: Places, constants: Block, constants_at: Places, action: int) -> int:
-    """Evaluate the goals. Return a bit for each digit with a bounded least-squares problem to solve."""
+    """Evaluate the goals. Return a number with a bit for each digit whose least-squares problem must be solved."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     computed_torque.update_hold_limits(x, c, action == HOLD and x.run_int[s.MODE] == ACTIVE)
@@ -126,7 +128,7 @@ def compute_motor_torques(
     open_loop: int,
     ticks: int,
 ) -> None:
-    """Compute the motor torques: 0 unless the hand is active or relaxing. See ``computed_torque``."""
+    """Compute the motor torques, which are 0 unless the hand is active or relaxing. See ``computed_torque``."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
@@ -144,14 +146,14 @@ def store_commands(block: Block, at: Places, constants: Block, constants_at: Pla
     for n in range(x.tendon.shape[1]):
         x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.COMMANDED_TENSION, n] = math.nan
         if mode == ACTIVE or mode == RELAX:
-            x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.TORQUE, n] / c.tendon[h.SPOOL, n]
+            x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.TORQUE, n] / c.tendon[h.SPOOL_RADIUS, n]
         if mode == ACTIVE:
             x.tendon[s.COMMANDED_TENSION, n] = x.tendon[s.TENSION_GOAL, n]
     if mode == ACTIVE:
         stuck.filter_goals(x, c)
     else:
         for n in range(x.tendon.shape[1]):
-            x.tendon[s.FOLLOWED, n] = math.nan
+            x.tendon[s.FILTERED_GOAL, n] = math.nan
     if mode != SILENT and mode != DONE:
         answers.add_requests(x, x.run_int[s.K])
     posture.estimate_tip_forces(x, c)
@@ -165,4 +167,4 @@ def store_commands(block: Block, at: Places, constants: Block, constants_at: Pla
         x.tendon[s.DRIVE_PHASE, n] = x.tendon_int[s.PHASE, n]
         fresh = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
         x.tendon[s.MOTOR_VELOCITY, n] = x.tendon[s.VELOCITY, n] if fresh else math.nan
-        x.tendon[s.MOTOR_TORQUE, n] = x.tendon[s.REPORTED, n] if fresh else math.nan
+        x.tendon[s.MOTOR_TORQUE, n] = x.tendon[s.REPORTED_TORQUE, n] if fresh else math.nan

@@ -1,10 +1,9 @@
-"""The hand along the tendons: for each tendon a motor mass and a load mass, joined by an elastic tendon.
+"""Constants of a hand along its tendons: for each tendon a motor mass and a load mass, joined by an elastic tendon.
 
-Along tendon i the motor is a mass J_m / r_a^2 at tendon travel x = r_a theta_m. The digit is a mass
-at excursion s = R q. Between both the tendon carries f = k (x - s - o) + c (x' - s'), with the
-stretch offset o.
-Source: MODEL of the one-tendon finger in reduced coordinates (Tsai, structure matrix), virtual
-work.
+Along a tendon the motor is a mass J_m / r_a^2 at the travel x = r_a theta_m, with the spool radius
+r_a. The digit is a mass at the excursion s = R q. The tension between both is f = k (x - s - o) + c
+(x' - s'), with the stretch offset o. Source: one-tendon finger in reduced coordinates (Tsai,
+structure matrix), virtual work.
 """
 
 from dataclasses import dataclass, fields
@@ -24,16 +23,16 @@ class TendonSpace:
     """Names and constants of the N tendons of a hand, each of shape (N,), SI units along the tendon.
 
     Attributes:
-        names: of the tendons.
+        names: names of the tendons.
         motor_mass: reflected rotor inertia J_m / r_a^2 [kg].
-        motor_damping: b_m / r_a^2 [N s/m].
-        coulomb: motor friction tau_c / r_a [N].
-        stiffness: of the tendon [N/m].
-        damping: of the tendon [N s/m].
+        motor_damping: viscous friction of the motor b_m / r_a^2 [N s/m].
+        coulomb: Coulomb friction of the motor tau_c / r_a [N].
+        stiffness: stiffness of the tendon [N/m].
+        damping: damping of the tendon [N s/m].
         load_mass: effective mass of the digit along the tendon at half closure [kg].
         load_stiffness: effective return spring along the tendon [N/m].
         load_damping: effective joint damping along the tendon [N s/m].
-        spool: radius [m].
+        spool: radius of the spool [m].
         encoder_step: resolution of the motor position along the tendon [m].
         tension_noise: standard deviation of a load-cell sample [N].
         has_cell: 1 for a tendon with a load cell, 0 without.
@@ -62,14 +61,14 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     """Collect the constants of every tendon.
 
     Args:
-        hand: the hand's description.
-        digits: the digit models, in file order.
+        hand: description of the hand.
+        digits: digit models, in file order.
     """
     motors = {motor.name: motor for motor in hand.motor}
     tendons = hand.tendon
     spool = np.array([motors[tendon.motor].spool_radius_m for tendon in tendons])
     inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
-    # With the mass matrix of the whole hand: a wrist moves its fingers.
+    # The mass matrix of the whole hand includes the fingers that a wrist moves.
     mass = HandTree.of(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
     load = np.concatenate([_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1)
     return TendonSpace(
@@ -93,17 +92,19 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 def _position_step(motor: Motor) -> float:
     """Return the resolution of a motor's reported position [rad].
 
-    A step smaller than 1/65536 of the range is below the noise, so the larger of both is returned.
+    It is the resolution of the protocol, but at least 1/65536 of the range, because smaller steps
+    are below the noise.
     """
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
 
 def _load_along_tendons(digit: DigitModel, mass: Vector) -> Vector:
-    """Return effective mass, stiffness and damping along each tendon of the digit, shape (3, n).
+    """Return effective mass, stiffness and damping along each tendon of a digit, (3, n_t).
 
     Args:
         digit: model of the digit.
-        mass: (n, n) mass matrix of its joints at half closure, with all that it carries [kg m2].
+        mass: (n, n) mass matrix of the digit's joints at half closure, with all carried links [kg
+            m2].
     """
     coupling = digit.coupling
     joint_space = (

@@ -1,4 +1,4 @@
-"""Inputs and outputs of a tick: ``TickIn`` has every fact behind a decision, ``TickOut`` every decision."""
+"""Inputs and outputs of a tick: ``TickIn`` contains everything that decisions use, ``TickOut`` all decisions."""
 
 import enum
 from collections.abc import Iterator, Sequence
@@ -27,25 +27,31 @@ class Mode(enum.IntEnum):
     ACTIVE = 4
     """The program moves the hand."""
     RELAX = 5
-    """Tensions ramp to the floor, then DISARM."""
+    """Tensions fall to the floor. DISARM follows."""
     DISARM = 6
     """Drives are disabled and queried until each confirms."""
     CUT = 7
     """Torque is removed at once, without a ramp."""
     DONE = 8
-    """Disarmed and confirmed, or impossible to confirm. The loop may end."""
+    """All drives are disarmed, or cannot confirm it. The loop may end."""
 
 
 BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
 """Modes before any drive was enabled."""
 ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
-"""Modes with possible torque."""
+"""Modes in which torque may act."""
 SHUTTING_DOWN = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
-"""Modes without a return to action."""
+"""Modes after which the hand cannot become active again."""
 
 
 class IoEvent(NamedTuple):
-    """An event of bus, host or recorder: ``kind`` is for example enobufs, bus_off, dropped, recorder, suspended."""
+    """An event of a bus, the host or the recorder.
+
+    Attributes:
+        kind: type of the event, for example enobufs, bus_off, dropped, recorder, suspended.
+        where: bus or part with the event.
+        number: number that belongs to the event, for example of dropped records.
+    """
 
     kind: str
     where: str = ""
@@ -59,9 +65,9 @@ class TickIn(NamedTuple):
         k: tick number. A jump means missed ticks.
         t_ns: scheduled time of the tick on the run's clock [ns], k times the period, from 0.
         late_ns: delay of the tick's real start [ns].
-        frames: received since the last tick, in order.
-        io_events: reports of buses and host since the last tick.
-        requests: of operators and programs, JSON texts in order.
+        frames: frames received since the last tick, in order.
+        io_events: events of buses, host and recorder since the last tick.
+        requests: requests of operators and programs, as JSON texts, in order.
     """
 
     k: int
@@ -73,17 +79,17 @@ class TickIn(NamedTuple):
 
 
 GAIN_EVENT = "gain"
-"""Name of the event of a changed gain. ``where`` is the key, ``text`` the new value."""
+"""Name of the event for a changed gain. Its ``where`` is the key, its ``text`` the new value."""
 
 
 class Event(NamedTuple):
-    """A line for the log.
+    """An event of a tick, for the log and the operator.
 
     Attributes:
         level: "info", "warn" or "error".
         name: short identifier, for example "mode", "phase", "contact", "fault".
-        where: digit, motor, tendon or bus.
-        text: a line for the operator.
+        where: digit, motor, tendon or bus with the event.
+        text: description in one line.
     """
 
     level: str
@@ -93,7 +99,7 @@ class Event(NamedTuple):
 
 
 class Telemetry(NamedTuple):
-    """Numbers of a tick, float64. Unknown numbers are NaN, never old values with a new time stamp.
+    """Numbers of a tick, float64. An unknown number is NaN. No value of an older tick is repeated.
 
     Shapes: J joints, N tendons, M motors, D digits, in the order of the hand file.
     """
@@ -125,11 +131,11 @@ class Telemetry(NamedTuple):
     stretch_offset: Vector
     """(N,) estimated stretch offset [m]."""
     innovation: Vector
-    """(N,) load cell innovation [N]."""
+    """(N,) load-cell reading minus its prediction [N]."""
     nis: Vector
     """(N,) normalised innovation squared [1]."""
     external_tension: Vector
-    """(N,) tension beyond the model: contact [N]."""
+    """(N,) tension that the model does not explain, for example by contact [N]."""
     motor_position: Vector
     """(M,) measured position at the spool [rad]."""
     motor_velocity: Vector
@@ -159,7 +165,7 @@ class Telemetry(NamedTuple):
 
 
 class PackedTelemetry:
-    """Numbers of a tick in the form of the log. Fields are sliced on access.
+    """Telemetry of a tick as one array, as in the log. An attribute access returns a slice of it.
 
     Attributes:
         numbers: all fields in order.
@@ -198,7 +204,7 @@ TELEMETRY_FIELDS = Telemetry._fields
 """Field names in the order of ``Telemetry.packed``."""
 
 TELEMETRY_FIRST = 25
-"""Number of fields in logs of version 0.1 and before. Later fields follow at the end."""
+"""Number of fields in logs of version 0.1 and before. Later versions added fields at the end."""
 
 TELEMETRY_AXES = {
     **dict.fromkeys(TELEMETRY_FIELDS[:6], "joint"),
@@ -215,13 +221,13 @@ class TickOut(NamedTuple):
     """Decisions of a tick.
 
     Attributes:
-        frames: to send, in order.
-        mode: of the hand after the tick.
-        phase: of the grasp, or of another source of goals, for example "home", "close", "hold".
-        action: largest action demanded by safety.
-        telemetry: numbers.
-        events: lines for the log.
-        state_hash: 8 bytes, hash of the controller's whole state after the tick.
+        frames: frames to send, in order.
+        mode: mode of the hand after the tick.
+        phase: phase of the grasp, or of another program, for example "home", "close", "hold".
+        action: most severe reaction that safety demands.
+        telemetry: numbers of the tick.
+        events: events of the tick.
+        state_hash: hash of the controller's whole state after the tick, 8 bytes.
     """
 
     frames: Sequence[Frame]

@@ -1,9 +1,10 @@
-"""Cyclic frames between wire and block: received frames in, commands out.
+"""Conversion of received cyclic frames into the state block, and of commands into frames.
 
-``receive_frames`` reads the feedback of enabled, steady drives and all frames of the sensor node, by
-tables of signals. The function stops at each frame for a drive's state machine
-(``drives.contract``), and continues behind the frame. ``encode_commands`` writes the commands of steady
-drives, and stops at each drive in transition. ``Wire`` builds the tables of a hand.
+``receive_frames`` decodes the feedback of steady drives and all frames of the sensor node, by
+tables of signals. A drive is steady while it is enabled and its state machine (``drives.contract``)
+has nothing to do. The function stops at each frame for a state machine. Its caller handles this
+frame and calls it again for the frames behind it. ``encode_commands`` encodes the commands of
+steady drives, and stops at each other drive. ``Wire`` builds the tables of a hand.
 """
 
 import math
@@ -19,7 +20,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables, state_tables
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation.structure import carrier_excursion
-from handctl.core.law.servo import NUMBERS, command_torque_only
+from handctl.core.law.servo import COMMAND_ROWS, command_torque_only
 from handctl.core.schema import Block, Places
 from handctl.drives.contract import Drive
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
@@ -55,19 +56,20 @@ Whole = NDArray[np.int64]
 Real = NDArray[np.float64]
 
 OWNER, KIND, FIRST, END, LENGTH, GROUP, NEAREST = range(7)
-"""Columns of an entry: drive index or NODE, kind of frame, first and end signal, payload length [bytes], group,
-1 if the frame nearest to the expected position counts."""
+"""Columns of an entry: index of the drive or NODE, kind of frame, first signal, signal after the last, payload length
+[bytes], group, and 1 if only the frame nearest to the expected position is used."""
 NODE = -1
 """Owner of the sensor node's frames."""
-LOOK, FEEDBACK, VALUES, SENSORS, HOST = range(5)
-"""Kinds of frames: for the state machine, reply to a command, further values, sensor node, only sent by this host."""
+FOR_STATE_MACHINE, FEEDBACK, VALUES, SENSORS, HOST = range(5)
+"""Kinds of frames: for a state machine, reply to a command, further values, sensor node, sent by this host only."""
 ENABLED = 3
 """Number of ``drives.contract.Phase.ENABLED``."""
 UNKNOWN = -1
-"""Index without an entry."""
+"""Index for a missing entry."""
 POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(int, tuple(Quantity)[:8])
 """Quantities as numbers, for compiled code."""
 ID_MASK = 0xFFFFFFFF
+"""Bits of an identifier with its flags."""
 BYTE_MASK = 0xFF
 NUMBER_MASK = 0x1FFFFFFF
 """Bits of an identifier without its flags."""
@@ -77,7 +79,7 @@ STANDARD_IDS = 0x800
 
 @inner
 def find_key(keys: Whole, key: Any) -> int:
-    """Return the index of a key among sorted keys, UNKNOWN if missing. Binary search."""
+    """Return the index of a key among sorted keys by binary search, UNKNOWN if the key is missing."""
     low = 0
     high = len(keys)
     while low < high:
@@ -94,8 +96,8 @@ def begin_tick(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed
     """Reset the flags of received data, and store number and time of the tick.
 
     Args:
-        block: the state.
-        at: ``Layout.places``.
+        block: state block.
+        at: ``Layout.places`` of the state block.
         k: number of the tick.
         t_ns: time of the tick [ns].
         late_ns: delay of the tick's start [ns].
@@ -106,18 +108,19 @@ def begin_tick(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed
     x.run_int[s.K] = k
     x.run_int[s.T_NS] = t_ns
     x.run_int[s.LATE_NS] = late_ns
-    x.run_int[s.MISSED] = missed
-    x.run_int[s.FRAMES] = frames
+    x.run_int[s.MISSED_TICKS] = missed
+    x.run_int[s.RECEIVED_FRAMES] = frames
     for n in range(x.tendon.shape[1]):
-        x.tendon_int[s.ANSWERED, n] = x.tendon_int[s.CELL_FRESH, n] = 0
+        x.tendon_int[s.FEEDBACKS_NOW, n] = x.tendon_int[s.CELL_FRESH, n] = 0
         x.tendon_int[s.PHASE_BEFORE, n] = x.tendon_int[s.PHASE, n]
     for j in range(x.joint.shape[1]):
         x.joint_int[s.JOINT_FRESH, j] = 0
     for g in range(x.group_int.shape[1]):
-        x.group_int[s.GROUP_ANSWERED, g] = 0
+        x.group_int[s.GROUP_FRAMES_NOW, g] = 0
     for node in range(x.node_int.shape[1]):
-        x.node_int[s.MISREAD_NOW, node] = x.node_int[s.DUPLICATES, node] = 0
-    x.run_int[s.STALE_NOW] = x.run_int[s.UNKNOWN_FRAMES] = x.run_int[s.REFUSED_NOW] = x.run_int[s.CHANGED] = 0
+        x.node_int[s.MALFORMED_NOW, node] = x.node_int[s.DUPLICATES, node] = 0
+    x.run_int[s.STALE_NOW] = x.run_int[s.UNKNOWN_FRAMES] = 0
+    x.run_int[s.REFUSED_REQUESTS_NOW] = x.run_int[s.CONSISTENCY_CHANGED] = 0
 
 
 @kernel("block", "layout", "constants", "layout", "words", "keys", "table_int", "table_int", "table", "count", "count")
@@ -137,9 +140,9 @@ def receive_frames(
     """Decode frames from index ``first`` on.
 
     Args:
-        block: the state.
-        at: ``Layout.places``.
-        constants: of the hand.
+        block: state block.
+        at: ``Layout.places`` of the state block.
+        constants: constants of the hand.
         constants_at: ``Layout.places`` of the constants.
         rows: (n, WORDS) records of frames.
         keys: see ``Wire``.
@@ -147,11 +150,13 @@ def receive_frames(
         wholes: see ``Wire``.
         reals: see ``Wire``.
         first: index of the first frame.
-        fresh_ns: earliest arrival of an answer to the latest SYNC [ns], any negative time if answers have a counter.
+        fresh_ns: earliest arrival of an answer to the latest SYNC [ns], a negative time if answers
+            have a counter.
 
     Returns:
-        Index of the first frame for a state machine or for the detection of other controllers, n
-            without such a frame.
+        Index of the first frame for a state machine, or that only this host may send. It is n
+        without such
+            a frame.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -161,7 +166,8 @@ def receive_frames(
     wholes = borrow(wholes, 0, wholes.shape)
     reals = borrow(reals, 0, reals.shape)
     for r in range(first, len(rows)):
-        # HEAD: identifier in bits 0 to 31, then flags, bus (from BUS_BIT) and payload length (from LENGTH_BIT).
+        # HEAD: identifier in bits 0 to 31, then flags, bus (from BUS_BIT) and payload length (from
+        # LENGTH_BIT).
         head = np.int64(rows[r, HEAD])
         can_id = head & ID_MASK & ~ERROR
         bus = head >> BUS_BIT & BYTE_MASK
@@ -172,7 +178,7 @@ def receive_frames(
             _count_unknown_frame(x, keys, entries, bus, can_id)
             continue
         if flagged:
-            continue  # an error frame has no values, whatever its identifier looks like
+            continue  # an error frame has no values, even if its identifier is that of a node
         kind = entries[entry, KIND]
         t_ns = np.int64(rows[r, T_NS])
         payload = rows[r, PAYLOAD]
@@ -182,7 +188,7 @@ def receive_frames(
         elif kind == SENSORS:
             _decode_sensor_frame(x, t_ns, payload, fits, entries, entry, wholes, reals)
         elif (
-            kind == LOOK
+            kind == FOR_STATE_MACHINE
             or kind == HOST
             or not fits
             or not _decode_drive_frame(x, c, t_ns, rows[r], entries, entry, wholes, reals)
@@ -193,23 +199,24 @@ def receive_frames(
 
 @inner
 def _count_unknown_frame(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> None:
-    """Count a frame with an unknown identifier. A remote or 29-bit frame with a node's number is malformed.
+    """Count a frame with an unknown identifier. A remote or 29-bit frame with the identifier of a node is malformed.
 
-    A 29-bit identifier of 0x800 or more belongs to another protocol, whatever its lower 11 bits are.
+    A 29-bit identifier of 0x800 or more belongs to another protocol, even if its lower 11 bits are
+    those of a node.
     """
     x.run_int[s.UNKNOWN_FRAMES] += 1
     if can_id & (EXTENDED | REMOTE) and can_id & NUMBER_MASK < STANDARD_IDS:
         entry = find_key(keys, bus << 32 | can_id & NUMBER_MASK)
         if entry != UNKNOWN and entries[entry, KIND] != HOST:
             owner = entries[entry, OWNER]
-            x.node_int[s.MISREAD_NOW, owner if owner != NODE else x.node_int.shape[1] - 1] = 1
+            x.node_int[s.MALFORMED_NOW, owner if owner != NODE else x.node_int.shape[1] - 1] = 1
 
 
 @inner
 def _count_stale_frame(x: Tables, group: int) -> None:
     """Count a frame that answers an older SYNC."""
-    x.run_int[s.STALE] += 1
-    x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_ANSWERED, group] else 1)
+    x.run_int[s.STALE_FRAMES] += 1
+    x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_FRAMES_NOW, group] else 1)
 
 
 @inner
@@ -220,7 +227,7 @@ def _decode_sensor_frame(
 
     Args:
         x: state tables.
-        t_ns: reception [ns].
+        t_ns: reception time [ns].
         payload: first eight bytes.
         fits: True if the length is right.
         entries: see ``Wire``.
@@ -229,7 +236,7 @@ def _decode_sensor_frame(
         reals: see ``Wire``.
     """
     if not fits:
-        x.node_int[s.MISREAD_NOW, x.node_int.shape[1] - 1] = 1
+        x.node_int[s.MALFORMED_NOW, x.node_int.shape[1] - 1] = 1
         return
     group = entries[entry, GROUP]
     tensions = 0
@@ -242,7 +249,7 @@ def _decode_sensor_frame(
             return
         if quantity == CELL:
             tensions = 1
-            x.tendon[s.CELL, channel] = value
+            x.tendon[s.CELL_READING, channel] = value
             x.tendon_int[s.CELL_FRESH, channel] = 1
         if quantity == ANGLE:
             x.joint[s.JOINT_ANGLE, channel] = value
@@ -250,19 +257,20 @@ def _decode_sensor_frame(
     x.group_int[s.GROUP_NS, group] = t_ns
     x.group_int[s.GROUP_FRAMES, group] += 1
     x.run_int[s.TENSION_FRAMES] += tensions
-    x.group_int[s.GROUP_ANSWERED, group] += 1
+    x.group_int[s.GROUP_FRAMES_NOW, group] += 1
 
 
 @inner
 def _is_nearer(x: Tables, c: ConstantTables, n: Any, position: float) -> bool:
-    """Return True if a position is nearer to the filter's expectation than the position received before in the tick.
+    """Return True if a position is nearer to the filter's prediction than the position received before in this tick.
 
-    The expectation is for the time of the request. Without a filter the later position counts.
+    The prediction is for the time of the request. Before the filter has started, the later position
+    is used.
     """
     travel = x.tendon[s.TRAVEL, n]
-    if c.run_int[h.HAND_PASSED]:
+    if c.run_int[h.HAS_CARRIER_ARMS]:
         travel += carrier_excursion(c, n, x.joint[s.Q])
-    expected = travel / c.tendon[h.SPOOL, n] + c.tendon[h.ZERO, n]
+    expected = travel / c.tendon[h.SPOOL_RADIUS, n] + c.tendon[h.MOTOR_ZERO, n]
     return not abs(position - expected) > abs(x.tendon[s.POSITION, n] - expected)
 
 
@@ -275,7 +283,7 @@ def _decode_drive_frame(
     Args:
         x: state tables.
         c: constants of the hand.
-        t_ns: reception [ns].
+        t_ns: reception time [ns].
         row: (WORDS,) record of the frame.
         entries: see ``Wire``.
         entry: row of ``entries``.
@@ -301,7 +309,8 @@ def _decode_drive_frame(
             return False
         quantity = wholes[i, QUANTITY]
         if quantity == STATUS:
-            # Several status fields of a frame are joined, the first in the highest bits.
+            # Several status fields of a frame form one number, with the first field in the highest
+            # bits.
             status = status << wholes[i, LENGTH_BITS] | np.int64(value)
         elif quantity == POSITION:
             position = value
@@ -314,32 +323,32 @@ def _decode_drive_frame(
     feedback = entries[entry, KIND] == FEEDBACK
     if feedback and status != expected:
         return False
-    if entries[entry, NEAREST] and x.tendon_int[s.ANSWERED, n] > 0 and not _is_nearer(x, c, n, position):
+    if entries[entry, NEAREST] and x.tendon_int[s.FEEDBACKS_NOW, n] > 0 and not _is_nearer(x, c, n, position):
         x.tendon_int[s.FEEDBACKS, n] += 1
-        x.tendon_int[s.ANSWERED, n] += 1
+        x.tendon_int[s.FEEDBACKS_NOW, n] += 1
         return True
     _store_value(x, s.POSITION, n, position)
     _store_value(x, s.VELOCITY, n, velocity)
-    _store_value(x, s.REPORTED, n, torque)
+    _store_value(x, s.REPORTED_TORQUE, n, torque)
     _store_value(x, s.TEMPERATURE, n, temperature)
     if feedback:
         x.tendon_int[s.FEEDBACK_NS, n] = t_ns
         x.tendon_int[s.FEEDBACKS, n] += 1
-        x.tendon_int[s.ANSWERED, n] += 1
+        x.tendon_int[s.FEEDBACKS_NOW, n] += 1
     return True
 
 
 @inner
 def _store_value(x: Tables, row: int, n: int, value: float) -> None:
-    """Write a value into the table, unless it is NaN. NaN stands for a missing signal."""
+    """Write a value into the tendon table, unless it is NaN. NaN means that the frame has no such signal."""
     if not math.isnan(value):
         x.tendon[row, n] = value
 
 
 @inner
-def _has_code(x: Tables, n: int, reals: Real, first: int) -> bool:
+def _can_be_encoded(x: Tables, n: int, reals: Real, first: int) -> bool:
     """Return True if each number of a position command is within the range of its signal."""
-    for i in range(NUMBERS):
+    for i in range(COMMAND_ROWS):
         if not reals[first + i, 2] <= x.servo[s.SERVO_POSITION + i, n] <= reals[first + i, 3]:
             return False
     return True
@@ -352,7 +361,7 @@ def _write_position_command(
     """Write position, velocity, kp, kd and torque into the record of a command."""
     for word in range(PAYLOAD, WORDS):
         row[word] = 0
-    for i in range(first, first + NUMBERS):
+    for i in range(first, first + COMMAND_ROWS):
         bits = encode_signal(x.servo[s.SERVO_POSITION + i - first, n], wholes, reals, i)
         bits = bytes_reversed(bits) if wholes[i, ORDER] else bits
         write_window(row, PAYLOAD, wholes[i, WINDOW], bits)
@@ -380,23 +389,26 @@ def encode_commands(
     """Encode the commands of steady drives.
 
     Args:
-        block: the state.
-        at: ``Layout.places``.
-        out: (frames, WORDS) records, result.
-        commands: (frames, 3) drive, signal (-1 for none) and feedback timeout [ns], see ``Wire``.
-        wholes: of the signals.
-        reals: of the signals, with the limit [N m] in a third column.
+        block: state block.
+        at: ``Layout.places`` of the state block.
+        out: (frames, WORDS) result: records of the commands.
+        commands: (frames, 3) see ``Wire``.
+        wholes: ``Wire.sent_wholes``.
+        reals: ``Wire.sent_reals``.
         templates: (frames, WORDS) records without torque.
         torque: (N,) commanded torque of each drive [N m].
         servos: (N,) see ``Wire``.
         servo_wholes: see ``Wire``.
         servo_reals: see ``Wire``.
-        first: first drive.
-        count: records already in ``out``.
+        first: index of the first drive.
+        count: number of records that ``out`` contains already.
 
     Returns:
-        The first drive in transition (N if all are steady), and the number of records. The function
-            also stops at a torque without an encoding, to be reported by the drive's state machine.
+        Index of the first drive that is not steady, N if all are steady, and the number of records.
+        The
+            function also stops at a drive whose torque is beyond its limit. The drive's state
+            machine
+            reports it.
     """
     x = state_tables(block, at)
     now_ns = x.run_int[s.T_NS]
@@ -416,7 +428,7 @@ def encode_commands(
         for word in range(WORDS):
             out[count, word] = templates[i, word]
         if servos[n] >= 0 and x.servo[s.SERVO_KP, n] > 0.0:
-            if _has_code(x, n, servo_reals, servos[n]):
+            if _can_be_encoded(x, n, servo_reals, servos[n]):
                 _write_position_command(x, n, out[count], servo_wholes, servo_reals, servos[n])
                 count += 1
                 continue
@@ -435,7 +447,7 @@ class Wire:
 
     Attributes:
         keys: (e,) bus << 32 | identifier, sorted.
-        entries: (e, 7) with the columns above.
+        entries: (e, 7) with the columns ``OWNER`` to ``NEAREST``.
         wholes: (s, COLUMNS) integers of the received signals.
         reals: (s, 2) real numbers of the received signals.
         commands: (f, 3) drive, row of the torque in ``sent_wholes`` or -1, and feedback timeout
@@ -460,9 +472,10 @@ class Wire:
         """Build the tables.
 
         Args:
-            drives: of the hand.
-            sensors: of the hand.
-            holds_position: for each drive, True if it closes the position loop. Empty for none.
+            drives: drives of the hand.
+            sensors: sensor node of the hand.
+            holds_position: for each drive, True if it closes the position loop. Empty if no drive
+                does.
             torque_gain: (N,) torque at the spool per commanded torque, None for 1.
         """
         self._signals: list[Table] = []
@@ -471,12 +484,14 @@ class Wire:
             found |= {_frame_key(drive.bus, can_id): [0, HOST, 0, 0, 0, 0, 0] for can_id in drive.host_ids}
         found |= {_frame_key(sensors.bus, can_id): [NODE, HOST, 0, 0, 0, 0, 0] for can_id in sensors.host_ids}
         for n, drive in enumerate(drives):
-            found |= {_frame_key(drive.bus, can_id): [n, LOOK, 0, 0, 0, 0, 0] for can_id in drive.node_ids}
+            found |= {_frame_key(drive.bus, can_id): [n, FOR_STATE_MACHINE, 0, 0, 0, 0, 0] for can_id in drive.node_ids}
             for message in drive.cyclic.feedback:
                 kind = FEEDBACK if message.answers else VALUES
                 signals = self._added(message)
                 found[_frame_key(drive.bus, message.can_id)] = [n, kind, *signals, message.length, 0, message.nearest]
-        found |= {_frame_key(sensors.bus, can_id): [NODE, LOOK, 0, 0, 0, 0, 0] for can_id in sensors.service_ids}
+        found |= {
+            _frame_key(sensors.bus, can_id): [NODE, FOR_STATE_MACHINE, 0, 0, 0, 0, 0] for can_id in sensors.service_ids
+        }
         for group, message in enumerate(sensors.messages):
             found[_frame_key(sensors.bus, message.can_id)] = [
                 NODE,
@@ -491,16 +506,16 @@ class Wire:
         self.entries: Whole = np.array([found[key] for key in keys], dtype=np.int64)
         self.wholes = np.concatenate([table.wholes for table in self._signals])
         self.reals = np.concatenate([table.reals for table in self._signals])
-        self._commands(drives)
-        self._position_commands(drives, holds_position or [False] * len(drives), torque_gain)
+        self._build_torque_commands(drives)
+        self._build_position_commands(drives, holds_position or [False] * len(drives), torque_gain)
         self._entries_without: dict[tuple[int, ...], Whole] = {}
 
     def entries_without(self, groups: tuple[int, ...]) -> Whole:
-        """Return the entries with the frames of some groups left to the state machine of their node."""
+        """Return a copy of the entries in which the frames of some groups are for the sensor node's state machine."""
         entries = self._entries_without.get(groups)
         if entries is None:
             entries = self.entries.copy()
-            entries[(entries[:, KIND] == SENSORS) & np.isin(entries[:, GROUP], groups), KIND] = LOOK
+            entries[(entries[:, KIND] == SENSORS) & np.isin(entries[:, GROUP], groups), KIND] = FOR_STATE_MACHINE
             self._entries_without[groups] = entries
         return entries
 
@@ -510,7 +525,7 @@ class Wire:
         self._signals.append(Table(message))
         return first, first + len(self._signals[-1].wholes)
 
-    def _commands(self, drives: Sequence[Drive]) -> None:
+    def _build_torque_commands(self, drives: Sequence[Drive]) -> None:
         rows = list[list[int]]()
         templates = list[Rows]()
         wholes = list[Whole]()
@@ -531,7 +546,7 @@ class Wire:
         self.templates: Rows = np.array(templates, dtype=np.uint64).reshape(-1, WORDS)
 
 
-    def _position_commands(
+    def _build_position_commands(
         self, drives: Sequence[Drive], holds_position: Sequence[bool], torque_gain: Real | None
     ) -> None:
         """Build the tables of the position commands."""
@@ -542,7 +557,7 @@ class Wire:
             message = drive.cyclic.position
             if not holds_position[n] or message is None:
                 continue
-            servos[n] = NUMBERS * (len(wholes) - 1)
+            servos[n] = COMMAND_ROWS * (len(wholes) - 1)
             wholes.append(Table(message).wholes)
             gain = 1.0 if torque_gain is None else float(torque_gain[n])
             reals.append(_ranges_of_signals(message, gain))

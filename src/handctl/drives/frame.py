@@ -1,4 +1,4 @@
-"""CAN frame, as all parts of handctl use it."""
+"""CAN frame, for all parts of handctl."""
 
 from typing import NamedTuple
 
@@ -15,14 +15,15 @@ ESI = 2
 FDF = 4
 
 make_tuple = tuple.__new__
-"""Fast constructor. ``make(Frame, (...))`` with all values needs a third of the time of ``Frame(...)``."""
+"""Fast constructor: ``make_tuple(Frame, (...))`` with all values takes a third of the time of ``Frame(...)``."""
 
 
 class Frame(NamedTuple):
     """One CAN frame, classical or FD.
 
     Attributes:
-        can_id: 11- or 29-bit identifier with the flag bits EXTENDED, REMOTE, ERROR, as in SocketCAN.
+        can_id: 11- or 29-bit identifier with the flag bits EXTENDED, REMOTE, ERROR, as in
+            SocketCAN.
         data: payload, at most 8 bytes (classical) or 64 (FD).
         flags: BRS | ESI | FDF, 0 for a classical frame.
         bus: index into the hand's list of buses.

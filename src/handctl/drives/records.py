@@ -1,12 +1,12 @@
-"""Frames as rows of bytes. Buses exchange them, compiled code reads and writes them, and the log stores them.
+"""Frames as rows of bytes. Buses exchange the rows, compiled code reads and writes them, and the log stores them.
 
     word 0      t_ns int64
     word 1      bits 0..31 can_id | 32..47 flags | 48..55 bus | 56..63 length
     word 2..9   data, 64 bytes
 
-All fields are little-endian. Code that handles single frames uses ``Frame`` objects: python-can
-interfaces, tests, tools, and the state machines of drives. ``Frames`` is a sequence of frames over
-the rows, which builds ``Frame`` objects on access.
+All fields are little-endian. Code that handles single frames uses ``Frame`` objects, for example
+python-can interfaces, tests, tools, and the state machines of drives. ``Frames`` is a sequence over
+the rows that returns ``Frame`` objects.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,20 +20,21 @@ from handctl.drives.frame import Frame
 RECORD = np.dtype(
     [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (64,))]
 )
-"""One frame: time of reception [ns], identifier with the flag bits of ``frame``, flags, bus, payload."""
+"""Type of a frame's record: time of reception [ns], identifier with the flag bits of ``frame``, flags, bus, payload."""
 SIZE = RECORD.itemsize
 """Size of a record [bytes]."""
 SHORT_RECORD_BYTES = 24
-"""Length of the first part of a record, sufficient for a payload of at most eight bytes [bytes]."""
+"""Length of the part of a record that contains a payload of at most eight bytes [bytes]."""
 Records = NDArray[np.void]
 Rows = NDArray[np.uint64]
 WORDS = SIZE // 8
 """Size of a record in words of eight bytes."""
-# Words of a record: time, then identifier, flags, bus and length from the lowest bit on, then payload.
+# Words of a record. T_NS is the time. HEAD contains identifier, flags, bus and length, from the
+# lowest bit on.
 T_NS = 0
 HEAD = 1
 PAYLOAD = 2
-# Lowest bit of flags, bus, and length in word 1.
+# Lowest bit of flags, bus and length in the word HEAD.
 FLAGS_BIT = 32
 BUS_BIT = 48
 LENGTH_BIT = 56
@@ -129,4 +130,5 @@ def join_frames(parts: Sequence[Frames]) -> Frames:
     some = [part for part in parts if len(part)]
     if len(some) < 2:
         return some[0] if some else NO_FRAMES
-    return Frames.of_rows(np.concatenate([part.rows for part in some]))  # numpy takes six times as long for records
+    # Rows are joined, because numpy takes six times as long to join records.
+    return Frames.of_rows(np.concatenate([part.rows for part in some]))

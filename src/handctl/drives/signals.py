@@ -1,15 +1,15 @@
 """Signal tables of cyclic frames: position, coding, and scale of each value in a frame.
 
-One compiled packer and one compiled unpacker serve all protocols. The same tables make a DBC
-(``drives.dbc``) for other tools. Bit positions are those of a DBC: bit 0 is the lowest bit of the
+One compiled packer and one compiled unpacker serve all protocols. ``drives.dbc`` writes a DBC file
+for other tools from these tables. Bit positions are those of a DBC: bit 0 is the lowest bit of the
 first byte. The start of a little-endian signal is its lowest bit. The start of a big-endian signal
 is its highest bit.
 
-A signal is read from a window of eight bytes. The window begins at byte 0. For a signal that ends
-after byte 7, it begins at the first byte of the signal. Payloads of CAN FD have up to 64 bytes.
+A signal is read from a window of eight bytes. The window begins at byte 0, or at the first byte of
+the signal if the signal ends after byte 7. Payloads of CAN FD have up to 64 bytes.
 
-A command may have a signal in its identifier. The identifier is the word before the payload, so its
-lowest bit has the number -64.
+A command may have a signal in its identifier. The identifier is the word of eight bytes before the
+payload, so its lowest bit has the number -64.
 """
 
 import enum
@@ -98,8 +98,9 @@ class Message(NamedTuple):
         base: payload of a command with all signals 0.
         answers: True for feedback that answers a command.
         limit: largest absolute value of a command, in the unit of its signal.
-        nearest: True for a requested message that the drive also sends by itself, sampled at another
-            time. Of several frames in a tick the one nearest to the expected position counts.
+        nearest: True for a message that the drive sends on request and also by itself, measured at
+            different times. If several frames arrive in a tick, the one nearest to the expected
+            position is used.
     """
 
     name: str
@@ -119,8 +120,8 @@ class Cyclic(NamedTuple):
     Attributes:
         feedback: frames from the drive.
         commands: frames to the drive, in this order. One of them carries the torque.
-        feedback_timeout_ns: longest time without feedback before the state machine must act [ns], 0 for no
-            limit.
+        feedback_timeout_ns: longest time without feedback before the state machine must act [ns], 0
+            for no limit.
         position: the torque command with the five signals of ``POSITION_COMMAND``, with which the
             drive closes its own position loop. None if the protocol has no such frame.
     """
@@ -170,7 +171,7 @@ def integer_columns(signal: Signal) -> tuple[int, ...]:
     window = first if 8 * first + before + signal.length > 64 else 0
     start = 8 * (first - window) + before
     if signal.big_endian:
-        # In a word that was read with the first byte highest, the position of the signal's lowest bit.
+        # Position of the signal's lowest bit in a word whose first byte is the highest.
         start = 64 - start - signal.length
     return start, signal.length, order, coding, quantity, signal.channel, window
 
@@ -187,7 +188,8 @@ def window_at(words: Any, first: int, byte: int) -> Any:
     at = first + byte // 8
     shift = np.uint64(8 * (byte % 8))
     value = words[at] >> shift
-    # A shift by 64 bits is undefined, hence the second word counts only for a divided window.
+    # The second word is used only if the window is divided, because a shift by 64 bits is
+    # undefined.
     if shift > np.uint64(0) and at + 1 < len(words):
         value |= words[at + 1] << (np.uint64(64) - shift)
     return value
@@ -244,7 +246,8 @@ def encode_signal(value: float, wholes: Whole, reals: Real, i: int) -> Any:
 
     The value must be finite and within range. Half a count is rounded up.
     """
-    # floor(x + 0.5), since round() goes to the even neighbour. The mask cuts the sign extension.
+    # floor(x + 0.5) is used, because round() rounds a half to the even number. The mask removes the
+    # sign extension.
     scaled = (value - reals[i, OFFSET]) / reals[i, SCALE]
     mask = (np.uint64(1) << np.uint64(wholes[i, LENGTH])) - np.uint64(1)
     if wholes[i, CODING] == FLOAT:

@@ -20,7 +20,7 @@ SIDEWAYS_DEG = 45.0
 """Angle between the axes of a joint and of the last joint above which the joint moves the digit sideways [deg]."""
 NEWTON_STEPS = 20
 """Largest number of Newton steps from an excursion to joint angles. About five are used."""
-NEWTON_ENOUGH_RAD = 1e-10
+NEWTON_TOLERANCE_RAD = 1e-10
 """Size of the last Newton step [rad]."""
 SIDEWAYS_RANGE = 0.5
 """Opening per closing range from which a coordinate of a digit with parallel axes counts as sideways motion."""
@@ -50,11 +50,12 @@ class DigitModel:
         spring_preload: (n,) [rad].
         mount_rotation: (3, 3) digit frame to palm frame.
         mount_position: (3,) [m] in the palm frame.
-        gravity: (3,) in the palm frame [m/s2]. For a digit on another digit the palm is the link that
-            carries it, at rest.
+        gravity: (3,) in the palm frame [m/s2]. For a digit on another digit the palm is the link
+            that carries it, at rest.
         table: (rigid_body.ROWS, n) frames and bodies of the links.
         parent: (n,) column of the link before each link, -1 for the palm.
-        moment_arms: R, (n_t, n) [m]. An arm that depends on the angle counts with its mean, see ``at``.
+        moment_arms: R, (n_t, n) [m]. An arm that depends on the angle counts with its mean, see
+            ``at``.
         coupling: B, (n, n_c), the identity for independent joints.
         reduced_moment_arms: R B, (n_t, n_c) [m].
         excursion_to_joints: B (R B)^+, (n, n_t) [rad/m], joint angles of an excursion.
@@ -104,7 +105,8 @@ class DigitModel:
     @property
     def reach(self) -> tuple[Array, Array]:
         """Return the smallest and the largest coordinates (n_c,) within the joint limits [rad]."""
-        # A negative entry of B^+ swaps the limits: take the smaller and the larger product per entry.
+        # A negative entry of B^+ swaps the limits: take the smaller and the larger product per
+        # entry.
         low = self.joints_to_coordinates * self.joint_min
         high = self.joints_to_coordinates * self.joint_max
         return np.minimum(low, high).sum(axis=1), np.maximum(low, high).sum(axis=1)
@@ -113,8 +115,8 @@ class DigitModel:
     def sideways(self) -> NDArray[np.bool_]:
         """Return True for each coordinate that moves the digit sideways, (n_c,), such as abduction.
 
-        A joint with an axis far from that of the last joint moves the links sideways. In a digit with
-        parallel axes a coordinate does so if it opens at least half as far as it closes.
+        A joint with an axis far from that of the last joint moves the links sideways. In a digit
+        with parallel axes a coordinate does so if it opens at least half as far as it closes.
         """
         turned = np.eye(3)
         axes = []
@@ -226,7 +228,7 @@ class DigitModel:
             q = self.coupling @ theta
             step = np.linalg.pinv(self.arms_at(q) @ self.coupling) @ (excursion - self.excursion_at(q))
             theta = theta + step
-            if np.abs(step).max() < NEWTON_ENOUGH_RAD:
+            if np.abs(step).max() < NEWTON_TOLERANCE_RAD:
                 break
         return np.asarray(theta)
 
@@ -255,7 +257,8 @@ class DigitModel:
 def coordinate_range(coupling: Array, limits: Array) -> Array:
     """Return the range of each coordinate (2, n_c) that keeps all joints within their limits.
 
-    Each coordinate is alone: the others are zero. A joint that a coordinate does not move sets no limit.
+    Each coordinate is alone: the others are zero. A joint that a coordinate does not move sets no
+    limit.
 
     Args:
         coupling: B, (n, n_c).

@@ -1,9 +1,10 @@
-"""Rigid-body mechanics of trees of hinged links: poses, weight, inverse dynamics, compiled.
+"""Rigid-body mechanics of trees of hinged links, as compiled code: poses, weight and inverse dynamics.
 
-A table has a column per link, in an order in which each link follows its parent. ``parent`` is the
-column of the link before, -1 for the palm. The frame of a link has its origin in the link's joint
-and x along the link. The tip of a link is at its length along x. Gravity and poses are in the palm
-frame, rates and forces of ``write_newton_euler`` in the links' frames.
+A table has a column per link, in an order in which each link comes after its parent. ``parent`` has
+the column of each link's parent, -1 for the palm. The frame of a link has its origin in the link's
+joint, and its x axis along the link. The tip of a link is at the length of the link along x.
+Gravity and poses are in the palm frame. Rates and forces of ``write_newton_euler`` are in the
+frames of the links.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
 """
@@ -21,7 +22,8 @@ Counts = NDArray[np.int64]
 FIXED = 0
 COSINE = 9
 SINE = 18
-"""First rows of three matrices, row by row: a link's rotation to its parent is FIXED + cos q COSINE + sin q SINE."""
+"""First rows of three matrices, row by row. The rotation of a link to its parent is
+FIXED + COSINE cos q + SINE sin q."""
 ORIGIN = 27
 """First row of the joint's position in the parent's frame [m]."""
 AXIS = 30
@@ -29,7 +31,7 @@ AXIS = 30
 MASS = 33
 """Row of the link's mass [kg]."""
 MOMENT = 34
-"""First row of the link's first moment of mass in its frame [kg m]."""
+"""First row of the link's first moment of mass, in the frame of the link [kg m]."""
 INERTIA = 37
 """First row of the inertia about the joint's position: xx, yy, zz, xy, xz, yz [kg m2]."""
 ARMATURE = 43
@@ -48,11 +50,12 @@ DIRECTION = 12
 CARRIED_MASS = 15
 """Column of the mass of the link and of all links beyond [kg]."""
 CARRIED_MOMENT = 16
-"""First column of its first moment of mass in the palm frame [kg m]."""
+"""First column of the first moment of the carried mass, in the palm frame [kg m]."""
 POSE = 19
 """Number of columns of a pose."""
 
-# Columns of the working memory of ``write_newton_euler``: rotation to the parent, then vectors in the link's frame.
+# Columns of the working memory of ``write_newton_euler``. The rotation to the parent has columns 0
+# to 8. These are the first columns of vectors in the frame of the link, and the number of columns.
 _RATE = 9
 _TURN = 12
 _MOVE = 15
@@ -66,8 +69,8 @@ def write_link_poses(table: Array, row: int, parent: Counts, q: Array, pose: Arr
     """Write the poses of all links, without the carried masses.
 
     Args:
-        table: see the module, with its first row at ``row``.
-        row: first row in the table.
+        table: array that contains the table of links, see the module.
+        row: first row of the table in the array.
         parent: (n,) column of the link before, -1 for the palm.
         q: (n,) joint angles [rad].
         pose: (n, POSE) result.
@@ -116,7 +119,7 @@ def write_carried_masses(table: Array, row: int, parent: Counts, pose: Array) ->
         for a in range(3):
             moment = _component_along(table, row + MOMENT, pose, j, a)
             pose[j, CARRIED_MOMENT + a] = table[row + MASS, j] * pose[j, POSITION + a] + moment
-    # From the tips inwards.
+    # Links are visited from the tips to the palm.
     for j in range(len(pose) - 1, -1, -1):
         before = parent[j]
         if before >= 0:
@@ -130,10 +133,10 @@ def write_weight_torques(table: Array, row: int, parent: Counts, gravity: Array,
 
     Args:
         table: see ``write_link_poses``.
-        row: first row in the table.
+        row: see ``write_link_poses``.
         parent: see ``write_link_poses``.
-        gravity: (3,) in the palm frame [m/s2].
-        pose: (n, POSE) poses. The carried masses are written.
+        gravity: (3,) gravity in the palm frame [m/s2].
+        pose: (n, POSE) poses. Their carried masses are written.
         torque: (n,) result.
     """
     write_carried_masses(table, row, parent, pose)
@@ -142,7 +145,8 @@ def write_weight_torques(table: Array, row: int, parent: Counts, gravity: Array,
         x = pose[j, CARRIED_MOMENT] - mass * pose[j, POSITION]
         y = pose[j, CARRIED_MOMENT + 1] - mass * pose[j, POSITION + 1]
         z = pose[j, CARRIED_MOMENT + 2] - mass * pose[j, POSITION + 2]
-        # Against the torque of the weight, (first moment) x gravity, along the joint's axis.
+        # The torque of the weight is (first moment) x gravity, along the joint's axis. Its negative
+        # balances it.
         torque[j] = -(
             pose[j, DIRECTION] * (y * gravity[2] - z * gravity[1])
             + pose[j, DIRECTION + 1] * (z * gravity[0] - x * gravity[2])
@@ -173,7 +177,7 @@ def write_levers(pose: Array, first: int, touched: int, along: float, lever: Arr
 
 @inner
 def _lever(pose: Array, j: int, px: float, py: float, pz: float, nx: float, ny: float, nz: float) -> float:
-    """Return the lever about joint j of a force along a unit vector n at a point p, axis . (arm x n) [m]."""
+    """Return the lever about joint j of a force along a unit vector n at a point p, axis . ((p - joint) x n) [m]."""
     x, y, z = px - pose[j, POSITION], py - pose[j, POSITION + 1], pz - pose[j, POSITION + 2]
     return (
         pose[j, DIRECTION] * (y * nz - z * ny)
@@ -188,7 +192,8 @@ def write_turned_levers(
 ) -> None:
     """Write the levers of a force on the last link of a chain after one joint has turned, see ``write_levers``.
 
-    The links beyond that joint turn as a whole with the force: their levers stay.
+    The links beyond this joint turn together with the force, so the levers about their joints do
+    not change.
 
     Args:
         pose: (n, POSE) poses.
@@ -197,7 +202,7 @@ def write_turned_levers(
         along: distance of the point from the link's joint [m].
         turned: joint that turns.
         angle: angle of the turn [rad].
-        lever: (n,) levers before, and the result. Entries up to the turned joint change.
+        lever: (n,) levers before the turn, modified in place up to the turned joint.
     """
     ax, ay, az = pose[turned, DIRECTION], pose[turned, DIRECTION + 1], pose[turned, DIRECTION + 2]
     nx, ny, nz = pose[last, ROTATION + 1], pose[last, ROTATION + 4], pose[last, ROTATION + 7]
@@ -232,9 +237,9 @@ def write_newton_euler(
 
     Args:
         table: see ``write_link_poses``.
-        row: first row in the table.
+        row: see ``write_link_poses``.
         parent: see ``write_link_poses``.
-        gravity: (3,) in the palm frame [m/s2].
+        gravity: (3,) gravity in the palm frame [m/s2].
         q: (n,) joint angles [rad].
         dq: (n,) joint rates [rad/s].
         ddq: (n,) joint accelerations [rad/s2].
@@ -244,7 +249,8 @@ def write_newton_euler(
     for j in range(len(q)):
         _move_link(table, row, parent[j], gravity, q[j], dq[j], ddq[j], work, j)
         _load_link(table, row, work, j)
-    # From the tips inwards: each joint carries the forces of its link and of all links beyond.
+    # Links are visited from the tips to the palm: each joint carries the forces of its link and of
+    # all links beyond.
     for j in range(len(q) - 1, -1, -1):
         torque[j] = (
             table[row + AXIS, j] * work[j, _TORQUE]
@@ -261,26 +267,26 @@ def write_newton_euler(
 def _move_link(
     table: Array, row: int, before: int, gravity: Array, q: float, dq: float, ddq: float, work: Array, j: int
 ) -> None:
-    """Write rotation, rate, angular acceleration and acceleration of link j, less gravity, in its frame."""
+    """Write rotation, rate, angular acceleration, and acceleration minus gravity of link j, in the link's frame."""
     cosine = math.cos(q)
     sine = math.sin(q)
     for i in range(9):
         work[j, i] = table[row + FIXED + i, j] + cosine * table[row + COSINE + i, j] + sine * table[row + SINE + i, j]
     wx, wy, wz = 0.0, 0.0, 0.0
     tx, ty, tz = 0.0, 0.0, 0.0
-    # Gravity is an upward acceleration of the palm.
+    # Gravity is included as an acceleration of the palm in the opposite direction.
     mx, my, mz = -gravity[0], -gravity[1], -gravity[2]
     if before >= 0:
         wx, wy, wz = work[before, _RATE], work[before, _RATE + 1], work[before, _RATE + 2]
         tx, ty, tz = work[before, _TURN], work[before, _TURN + 1], work[before, _TURN + 2]
         ox, oy, oz = table[row + ORIGIN, j], table[row + ORIGIN + 1, j], table[row + ORIGIN + 2, j]
-        # Of the joint's position: a + t x o + w x (w x o).
+        # Acceleration of the joint's position: a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
         mx = work[before, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
         my = work[before, _MOVE + 1] + (tz * ox - tx * oz) + (wz * ux - wx * uz)
         mz = work[before, _MOVE + 2] + (tx * oy - ty * ox) + (wx * uy - wy * ux)
     for a in range(3):
-        # Transposed rotation: from the parent's frame into the link's.
+        # The transposed rotation converts from the parent's frame into the link's frame.
         work[j, _RATE + a] = work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
         work[j, _TURN + a] = work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
         work[j, _MOVE + a] = work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
@@ -384,7 +390,10 @@ def inertia_matrix(table: Array, parent: Counts, q: Array) -> Array:
 
 @kernel("matrix", "counts", "vector", "count", "real")
 def tip_levers(table: Array, parent: Counts, q: Array, touched: int, along: float) -> Array:
-    """Return the levers (n,) [m] of a force on a link of a chain about its joints, 0 beyond, see ``write_levers``."""
+    """Return the levers (n,) [m] of a force on a link of a chain about the chain's joints, see ``write_levers``.
+
+    The levers about joints beyond the link are 0.
+    """
     pose = np.empty((len(q), POSE))
     lever = np.zeros(len(q))
     write_link_poses(table, 0, parent, q, pose)

@@ -9,15 +9,15 @@ from handctl.hand.digit import Array, DigitModel, Values
 from handctl.hand.file.sections import Tendon
 
 CAPSTAN_FRICTION_SPEED = 1e-3
-"""Winding speed of nearly full capstan friction, v0 of tanh(v / v0) [m/s]. A regularisation."""
+"""Speed v0 of the friction's factor tanh(v / v0), which avoids a jump at a reversal [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class TendonElasticity:
     """Tension by stretch: linear up to a knee, then a smooth transition to another stiffness.
 
-    phi = k dl up to f_k. Beyond, with x = dl - f_k / k: phi = f_k + k2 x + (k - k2) w (1 - exp(-x / w)).
-    The tendon is slack at dl <= 0.
+    phi = k dl up to f_k. Beyond, with x = dl - f_k / k: phi = f_k + k2 x + (k - k2) w (1 - exp(-x /
+    w)). The tendon is slack at dl <= 0.
 
     Attributes:
         stiffness: k [N/m].
@@ -35,7 +35,7 @@ class TendonElasticity:
 
     @staticmethod
     def of(tendon: Tendon) -> "TendonElasticity":
-        """Return the law of a tendon of a hand file."""
+        """Return the elasticity of a tendon from its hand file."""
         return TendonElasticity(
             stiffness=tendon.stiffness_N_per_m,
             stiffness_beyond=tendon.stiffness_beyond_ratio * tendon.stiffness_N_per_m,
@@ -72,8 +72,8 @@ class TendonElasticity:
     def stretch(self, tension: float) -> float:
         """Return the stretch of a constant tension [m], the inverse of ``elastic``.
 
-        Beyond the knee Newton's method starts from the linear law. The curvature has one sign, hence the
-        steps approach the solution from one side.
+        Beyond the knee Newton's method starts from the linear law. Its steps approach the solution
+        from one side, because the curvature does not change its sign.
 
         Raises:
             ValueError: the tension is negative or not finite.
@@ -86,32 +86,32 @@ class TendonElasticity:
         for _ in range(NEWTON_STEPS):
             step = (tension - self.knee - self._tension_above_knee(excess)) / self._slope(excess)
             excess += step
-            # Below the resolution of float64.
+            # The step is below the resolution of float64.
             if abs(step) <= 1e-15 * excess:
                 break
         return self.knee / self.stiffness + excess
 
     def _tension_above_knee(self, x: float) -> float:
-        """Return the tension above the knee at x beyond the knee's stretch."""
+        """Return the tension above the knee for a stretch x above that of the knee [m] [N]."""
         # expm1 keeps its accuracy for x near 0.
         softer = self.stiffness - self.stiffness_beyond
         return self.stiffness_beyond * x - softer * self.knee_width * math.expm1(-x / self.knee_width)
 
     def _slope(self, x: float) -> float:
-        """Return the stiffness at x beyond the knee's stretch."""
+        """Return the stiffness for a stretch x above that of the knee [m] [N/m]."""
         return self.stiffness_beyond + (self.stiffness - self.stiffness_beyond) * math.exp(-x / self.knee_width)
 
 
 NEWTON_STEPS = 100
-"""Upper bound of Newton steps. About six are used."""
+"""Largest number of Newton steps. About six are usual."""
 
 
 def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
     """Return the tension at each joint pulley per load cell tension: exp(-mu phi_i tanh(v / v0)).
 
-    phi_i is the wrap before the first joint plus the joint angles up to and including joint i. Winding
-    reduces the tension towards the tip. Paying out increases it, to factors above 1. At rest the factor
-    is 1. Source: capstan equation.
+    phi_i is the wrap before the first joint plus the joint angles up to and including joint i.
+    Winding reduces the tension towards the tip. Paying out increases it, to factors above 1. At
+    rest the factor is 1. Source: capstan equation.
 
     Args:
         digit: model of the digit.
@@ -119,7 +119,7 @@ def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
         speed: winding speed of each tendon (n_t,) [m/s].
 
     Returns:
-        (n_t, n).
+        Factors (n_t, n).
     """
     # Only joints with a moment arm add to the wrap of a tendon.
     passed = np.cumsum((digit.moment_arms != 0.0) * np.asarray(q), axis=1)
@@ -128,9 +128,9 @@ def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
 
 
 def effective_moment_arms(digit: DigitModel, q: Values, speed: Values) -> Array:
-    """Return R with friction, (n_t, n) [m].
+    """Return the moment arms R times the friction factors, (n_t, n) [m].
 
-    Joint torque is its transpose times the tension at the load cells.
+    The joint torques are the transpose of the result times the tensions at the load cells.
     """
     return digit.arms_at(q) * pulley_factors(digit, q, speed)
 
@@ -141,9 +141,9 @@ def excursions(digit: DigitModel, q: Values) -> Array:
 
 
 def reflected_inertia(digit: DigitModel) -> Array:
-    """Return the rotor inertia in reduced coordinates through stiff tendons, (n_c, n_c) [kg m2].
+    """Return the rotor inertia in the digit's coordinates for stiff tendons, (n_c, n_c) [kg m2].
 
-    (R B)^T (J_m / r_a^2) R B.
+    It is (R B)^T (J_m / r_a^2) R B.
     """
     arms = digit.reduced_moment_arms
     return np.asarray(arms.T @ (digit.motor_mass[:, None] * arms))

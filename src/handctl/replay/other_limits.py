@@ -145,7 +145,7 @@ def _judge_ticks(
         # other limits carry over.
         judged = state.copy()
         judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
-        judged.decide(latched=shadow.latched, counting=shadow.decisions.counting)
+        judged.decide(latched=shadow.latched, reported_faults=shadow.decisions.reported_faults)
         try:
             shadow, verdict = other.tick(judged, entry)
             state, out = controller.tick(state, entry)

@@ -1,1 +1,1 @@
-"""Fault declarations, reactions, thresholds, and the judge, which chooses a reaction to the present faults."""
+"""Fault declarations, reactions, thresholds, and the choice of a reaction to the present faults."""

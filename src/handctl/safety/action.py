@@ -1,4 +1,4 @@
-"""Reactions to faults, in order of severity. The most severe demanded reaction is executed."""
+"""Reactions to faults, in order of severity. The most severe reaction that a fault demands is executed."""
 
 import enum
 
@@ -7,6 +7,7 @@ class Action(enum.IntEnum):
     """Reaction to a fault. Each action includes every restriction of the weaker actions."""
 
     PASS = 0
+    """Continue, without a warning."""
     WARN = 1
     """Continue, and log a warning."""
     HOLD = 2
@@ -14,15 +15,15 @@ class Action(enum.IntEnum):
     RELAX = 3
     """Lower every tension to the floor, disable the drives, and stay silent until an operator clears the fault."""
     CUT = 4
-    """Remove the torque at once, for faults with unreliable transmission of commands."""
+    """Remove the torque at once, for faults in which commands may not reach the drives."""
 
 
-class Release(enum.Enum):
-    """Method of removing the torque in RELAX. No method raises a commanded torque (``relaxing``)."""
+class RelaxMethod(enum.Enum):
+    """Method of removing the torque in RELAX. No method raises a commanded torque (``controller.relaxing``)."""
 
     LOOP = "RELAX"
     """Use the tension loop, limited by an envelope that falls by 500 N/s."""
-    FAST = "RELAX fast"
+    FAST_LOOP = "RELAX fast"
     """Use the tension loop, limited by an envelope that falls by 2,000 N/s, for an overloaded tendon."""
-    OPEN = "RELAX open loop"
-    """Command the envelope directly, without feedback, for faults of the tension loop."""
+    OPEN_LOOP = "RELAX open loop"
+    """Command the envelope directly, without feedback, for faults that make the tension loop unreliable."""

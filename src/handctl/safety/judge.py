@@ -1,7 +1,8 @@
-"""Judgement of each tick: latched faults, faults reported by buses and host, and choice of the reaction.
+"""Judgement of each tick: latched faults, faults that buses and host report, and choice of the reaction.
 
-Compiled code (``core.detectors.judge``) debounces the detected faults. This module names newly
-active faults, counts the reports, and latches faults until an operator clears the latch.
+Compiled code (``core.detectors.judge``) debounces the detected faults. This module finds the names
+of newly active faults, debounces the reported faults, and latches faults until an operator clears
+them.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,7 +19,7 @@ from handctl.safety.faults.table import BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS
 from handctl.safety.limits import Limits
 
 Report = tuple[str, str, float]
-"""Report of a bus or host event: kind, location, and number."""
+"""Report of an event of a bus or the host: kind, location, and number."""
 
 
 class Latched(NamedTuple):
@@ -51,13 +52,13 @@ class Verdict(NamedTuple):
         action: most severe reaction that a fault demands.
         findings: faults that became active in this tick.
         latched: faults latched after the tick.
-        counting: reported faults that are active in this tick.
+        reported_faults: reported faults that are active in this tick.
     """
 
     action: Action
     findings: tuple[Finding, ...]
     latched: tuple[Latched, ...]
-    counting: tuple[Counting, ...]
+    reported_faults: tuple[Counting, ...]
 
 
 _ACTIONS = {int(action): action for action in Action}
@@ -65,7 +66,7 @@ _ACTIONS = {int(action): action for action in Action}
 
 def judge_tick(
     latched: tuple[Latched, ...],
-    counting: tuple[Counting, ...],
+    reported_faults: tuple[Counting, ...],
     detected: Sequence[Finding],
     demanded: int,
     reports: Iterable[Report],
@@ -74,16 +75,17 @@ def judge_tick(
 
     Args:
         latched: latched faults of the last tick.
-        counting: reported faults of the last tick.
-        detected: faults from the detectors that count since this tick, from ``faults_counting_since_now``.
+        reported_faults: reported faults of the last tick.
+        detected: faults from the detectors that count since this tick, from
+            ``faults_counting_since_now``.
         demanded: most severe reaction to all detected faults that count.
         reports: reports from buses, host and recorder in the tick, for ``locate_reports``.
     """
     action = demanded
     findings = list(detected)
     present = []
-    # A report that is absent in this tick is not carried over: its count starts again at 1.
-    before = {(report.id, report.instance): report.ticks for report in counting}
+    # A fault without a report in this tick is dropped, so its count starts again at 1.
+    before = {(report.id, report.instance): report.ticks for report in reported_faults}
     for fault, where, value in locate_reports(reports):
         ticks = before.get((fault.id, where), 0) + 1
         present.append(Counting(fault.id, where, ticks))
@@ -91,7 +93,7 @@ def judge_tick(
             action = max(action, fault.action)
         if ticks == fault.debounce:
             findings.append(Finding(fault, where, value))
-    # A latched fault is found again in every tick while present. It is logged once only.
+    # A latched fault may be found again. It is not logged again.
     new = [finding for finding in findings if _latch_of(finding) not in latched]
     latched += tuple(dict.fromkeys(_latch_of(finding) for finding in new if finding.fault.latched))
     action = max([action, *(BY_ID[mark.id].action for mark in latched)])
@@ -112,7 +114,8 @@ def faults_counting_since_now(limits: Limits, evidence: NDArray[np.float64], tic
         evidence: (rows, instances) evidence of each fault, NaN where the fault is absent.
         ticks: (rows, instances) consecutive ticks with each fault.
     """
-    # The compiled judge counts on after the debounce, so equality holds in a single tick.
+    # The compiled detectors continue to count after the debounce, so the counts are equal in one
+    # tick only.
     rows, instances = np.nonzero((ticks[: len(DEBOUNCE)] == DEBOUNCE[:, None]) & ~np.isnan(evidence))
     findings = []
     for row, i in zip(rows.tolist(), instances.tolist(), strict=True):
@@ -142,7 +145,7 @@ def locate_reports(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
     return sorted(faults.values(), key=lambda row: _ORDER[row[0].id])
 
 
-# Position in the fault table, which sorts simultaneous faults as the detectors do.
+# Position of each fault in the fault table. Simultaneous faults are sorted by it.
 _ORDER = {id_: position for position, id_ in enumerate(BY_ID)}
 
 
@@ -151,7 +154,7 @@ def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
 
     Args:
         reports: reports of the tick.
-        heard: True if any node has ever answered, or if torque may act. B18 is then impossible.
+        heard: True if any node has ever answered, or if torque may act. B18 cannot occur then.
     """
     kept, error = [], None
     for one in reports:
@@ -163,5 +166,5 @@ def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
 
 
 def second_controller_reports(signs: Iterable[str]) -> list[Report]:
-    """Return a fault report (H13) for each indication that a second controller uses the bus."""
+    """Return a report of H13 for each sign of a second controller on the bus."""
     return [(FOREIGN, sign, 1.0) for sign in signs]

@@ -8,13 +8,13 @@ LOAD_CELLS = "load cells"
 
 SILENT_S = 0.030
 STALLED_S = 0.025
-"""Longest silence of a node, and longest stall of the host [s].
+"""Longest silence of a node, and longest stall of the host, without a fault [s].
 
 Both are below the drives' watchdog time of 50 ms.
 """
 MIN_SILENT_TICKS = 4
 MIN_STALLED_TICKS = 3
-"""Smallest number of ticks for these two times, at slow control rates."""
+"""Smallest number of ticks to which ``SILENT_S`` and ``STALLED_S`` are converted, at slow control rates."""
 MIN_FRAMES_LIMIT = 64
 """Smallest threshold for a flooded bus [frames per tick], above the number of frames of a small hand."""
 TEMPERATURE_SOFT_DEGC = 70.0
@@ -33,23 +33,23 @@ class Limits:
     """Safety thresholds of a hand.
 
     Attributes:
-        tendons: names, (N,).
-        motors: names, (N,).
-        joints: names, (J,).
+        tendons: (N,) names of the tendons.
+        motors: (N,) names of the motors.
+        joints: (J,) names of the joints.
         tension_trip: (N,) tension above which a single sample leads to RELAX [N].
         drive_limit: (N,) tension at the drive's own torque limit, above which the reaction is CUT
             [N].
-        tension_rail: reading of a saturated load cell [N].
-        tension_low: reading below which a wire is broken or a sensor has no supply, for any tendon
-            and tare [N].
+        tension_rail: tared reading from which a load cell counts as saturated [N].
+        tension_low: tared reading below which a wire is broken or a sensor has no supply, for any
+            tendon and tare [N].
         silent_ticks: number of consecutive missing replies after which a node counts as silent.
         one_silent_ticks: number of consecutive missing replies after which a motor counts as silent
             while another motor answers.
         stalled_ticks: number of consecutive missed ticks after which the host counts as stalled.
         temperature_soft: drive temperature at which derating begins [degC].
         temperature_hard: drive temperature at which the tension limit reaches the floor [degC].
-        frames: frames per tick above which a bus counts as flooded.
-        noise: mean squared jerk of a motor's position above which there is a noise burst [rad^2].
+        frames: number of frames per tick above which the bus counts as flooded.
+        noise: mean squared jerk of a motor's position above which the position is noisy [rad^2].
     """
 
     tendons: tuple[str, ...]

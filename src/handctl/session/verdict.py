@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.controller.setup import make_sensors
-from handctl.core.block import STALE
+from handctl.core.block import STALE_FRAMES
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import Hold, Task
 from handctl.report.frame_counts import frame_counts
@@ -55,7 +55,7 @@ def judge_run(
         "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
         "frames_rx": stats.frames_rx,
-        "frames_late": outcome.state.whole(STALE),
+        "frames_late": outcome.state.whole(STALE_FRAMES),
         "frames_lost": lost_frames(plan, outcome),
         "silent_ticks": silent,
         "bus_load": max(plan.load),

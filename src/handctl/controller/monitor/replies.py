@@ -52,11 +52,11 @@ def detect_unsolicited_replies(
 def _detect_duplicate_answers(sensors: Sensors, before: State, state: State, frames: Sequence[Frame]) -> None:
     """Write duplicate answers of the load cells into ``DUPLICATES``, and late ones into ``STALE``."""
     duplicates = state.view("twice")
-    excused = not sensors.has_counter and (state.whole(s.MISSED) > 0 or _has_lost_answers(before))
+    excused = not sensors.has_counter and (state.whole(s.MISSED_TICKS) > 0 or _has_lost_answers(before))
     answered = before.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1 and (excused or not (sensors.has_counter or answered[group])):
-            state.set_whole(s.STALE, state.whole(s.STALE) + count - 1)
+            state.set_whole(s.STALE_FRAMES, state.whole(s.STALE_FRAMES) + count - 1)
             state.set_whole(s.STALE_NOW, max(state.whole(s.STALE_NOW), 1))
         elif count > 1:
             counter = before.whole(s.SYNC_COUNTER)
@@ -72,10 +72,10 @@ def _detect_duplicate_answers(sensors: Sensors, before: State, state: State, fra
 def _has_lost_answers(before: State) -> bool:
     """Return True if answers of the load cells were missing in the last ``LATE_TICKS`` ticks.
 
-    An answer without a counter that comes in addition is then late, and not a duplicate. The same holds after a
-    tick without an answer, and if this host has missed a tick.
+    An answer without a counter that comes in addition is then late, and not a duplicate. The same
+    holds after a tick without an answer, and if this host has missed a tick.
     """
-    return bool(before.layout.table(before.block, "node_int")[s.LOST, -1] & (1 << LATE_TICKS) - 1)
+    return bool(before.layout.table(before.block, "node_int")[s.LOST_REPLIES, -1] & (1 << LATE_TICKS) - 1)
 
 
 def _duplicate_kind(payloads: list[bytes], due: int) -> int:

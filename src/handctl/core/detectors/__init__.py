@@ -1,1 +1,1 @@
-"""Compiled fault detectors: memory between ticks, and findings of a tick."""
+"""Compiled fault detectors: their memory between ticks, and the faults that they find in a tick."""

@@ -37,8 +37,8 @@ Evidence = NDArray[np.float64]
 @inner
 def detect_bus_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of this module, and write their results."""
-    if x.run[s.UNKNOWN] > UNKNOWN_LIMIT:
-        evidence[B10, 0] = x.run[s.UNKNOWN]
+    if x.run[s.UNKNOWN_RATE] > UNKNOWN_LIMIT:
+        evidence[B10, 0] = x.run[s.UNKNOWN_RATE]
     if not armed:
         return
     _detect_overdue_feedback(x, c, evidence)
@@ -48,20 +48,20 @@ def detect_bus_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evide
         evidence[B04, 0] = 0.0
     if x.run_int[s.STALE_NOW] == 2:
         evidence[B07, 0] = 1.0
-    frames = x.run_int[s.FRAMES]
-    if frames > c.run_int[h.FRAMES_LIMIT] * (1 + x.run_int[s.MISSED]):
+    frames = x.run_int[s.RECEIVED_FRAMES]
+    if frames > c.run_int[h.FRAMES_LIMIT] * (1 + x.run_int[s.MISSED_TICKS]):
         evidence[B11A, 0] = evidence[B11B, 0] = frames
 
 
 @inner
 def _detect_overdue_feedback(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find overdue feedback. Ticks missed by this host had no request."""
+    """Find overdue feedback. In a tick that the host missed, no feedback was requested."""
     youngest = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
         youngest = min(youngest, motor_ticks_overdue(x, c, n, x.run_int[s.T_NS]))
     for n in range(x.tendon.shape[1]):
         age = motor_ticks_overdue(x, c, n, x.run_int[s.T_NS])
-        if age > x.run_int[s.MISSED]:
+        if age > x.run_int[s.MISSED_TICKS]:
             evidence[B01, n] = age
         if age >= c.run_int[h.SILENT_TICKS]:
             evidence[B02, n] = age
@@ -71,7 +71,7 @@ def _detect_overdue_feedback(x: Tables, c: ConstantTables, evidence: Evidence) -
 
 @inner
 def _detect_lost_replies(x: Tables, evidence: Evidence) -> None:
-    """Find lost and halved replies."""
+    """Find nodes that lose many replies."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
         if number > HOLD_LOSSES:

@@ -1,20 +1,21 @@
 """Correlation of reported torque with commanded torque.
 
-An obeying drive reports the commanded torque, including the small changes that noise adds to every
-command. A drive with another drive's feedback, with torque at another joint, or with a delay
-reports other changes, even where all motors pull equally and nothing moves. With increments a of
-the command and b of the report, as forces at the spool [N], the test uses low-passed products:
+A drive that obeys reports the commanded torque, including the small changes that noise adds to
+every command. The reports have other changes if they come from another drive, if the torque acts on
+another joint, or if the drive obeys late. This is visible even if all motors pull equally and
+nothing moves. With increments a of the command and b of the report, as forces at the spool [N], the
+test uses low-passed products:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
-Less than two fifths of the command are reported, by four standard deviations of the estimate. For
-uncorrelated increments the sample covariance has the variance S_aa S_bb / n. Source: Bartlett's
-formula for white noise.
+The fault is present if less than 0.4 of the command's changes are reported, with a margin of four
+standard deviations of the estimate. For uncorrelated increments the sample covariance has the
+variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
 
-A pair counts only after some ticks with replies in time. After a standstill a drive replies to
-every queued command before obeying the last, so the next report belongs to an older command. A
-report may be a tick late while the bus is slow, and then follows the command before. This
-correlation counts as well.
+A pair of increments counts only after some ticks with replies in time. After a pause a drive
+replies to every queued command before it obeys the last one, so the next report belongs to an older
+command. On a slow bus a report may come a tick late, and then follows the command before. The test
+uses the larger of the correlations with and without this delay.
 """
 
 import math
@@ -27,34 +28,39 @@ from handctl.core.constants import ConstantTables
 from handctl.safety.faults.node import REPORTED_FRACTION, REPORTED_S
 
 MIN_FILLING = 0.9
-"""Fraction of the low-pass filled with measurements before the test."""
+"""Response of the low-pass filter to a constant 1 from which the test is made: most of its memory is filled."""
 SIGMAS = 4.0
+"""Margin of the test, in standard deviations of the estimated correlation."""
 SETTLED_TICKS = 3
-"""Ticks in time before a report is attributed to a command.
+"""Ticks in a row with a reply in time before a report is attributed to a command.
 
 A command takes effect a tick later, and an increment needs two commands.
 """
 MOVED_FRACTION = 1.0 / 4000.0
-"""Smallest increment, as a fraction of the largest force: half a step of 12-bit torque. Rounding dominates below.
+"""Smallest increment, as a fraction of the largest force: half a count of a 12-bit torque.
 
-A drive whose torque has a scale of its own may have a larger step, and half of that step counts.
+Rounding dominates smaller increments. If a drive's torque has a larger count, half of that count is
+used.
 """
 SERVO_COUNTS = 0.75
-"""The same of a drive that closes the position loop, in counts of position and speed.
+"""Smallest increment for a drive that closes the position loop, in counts of position and speed.
 
-The report has rounded numbers, the drive computes with others. Their difference is 0.3 counts (rms).
+The report contains rounded numbers, and the drive computes with unrounded ones. They differ by 0.3
+counts (rms).
 """
 MIN_SERVO_SHARE = 0.01
 """Fraction of recent ticks with a position loop from which this rounding counts."""
 AA, AB, AB_LATE, BB, FULL = range(5)
-"""Rows of ``block.REPORT_MOMENTS``: products, the product with a report a tick late, and the filling."""
+"""Rows of ``block.REPORT_MOMENTS``: command squared, command times report, command times report of a tick later,
+report squared, and the response to a constant 1."""
 
 
 @inner
 def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
     """Update the moments of the increments.
 
-    A drive replies before obeying, so the report of a tick belongs to the command before the last.
+    A drive replies to a command before it obeys it, so the report of a tick belongs to the command
+    before the last.
 
     Args:
         x: state tables.
@@ -68,7 +74,7 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
         first = x.tendon[s.REPORT_FORCES, n]
         second = x.tendon[s.REPORT_FORCES + 1, n]
         last = x.tendon[s.REPORT_FORCES + 2, n]
-        if c.tendon_int[h.SERVO, n]:
+        if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             closed = 1.0 if x.servo[s.SERVO_BEFORE + 2, n] > 0.0 else 0.0
             x.servo[s.SERVO_SHARE, n] += fraction * (closed - x.servo[s.SERVO_SHARE, n])
             last = second
@@ -88,8 +94,9 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
             _low_pass_moment(x, n, BB, fraction, b * b)
             _low_pass_moment(x, n, FULL, fraction, 1.0)
         x.tendon[s.REPORT_ON_TIME, n] = settled
-        if c.tendon_int[h.SERVO, n]:
-            # Shifted by a tick: the force of this report takes the place of the command.
+        if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
+            # The force predicted for this report takes the place of the command, so the history is
+            # shifted by a tick.
             x.tendon[s.REPORT_FORCES, n] = first
             x.tendon[s.REPORT_FORCES + 1, n] = second
         else:
@@ -110,9 +117,9 @@ def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
     aa = x.tendon[s.REPORT_MOMENTS + AA, n]
     bb = x.tendon[s.REPORT_MOMENTS + BB, n]
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
-    # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
+    # Command and report must both change by more than rounding. A constant report is another fault.
     rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
-    if c.tendon_int[h.SERVO, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
         rounding = max(rounding, SERVO_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
     moves = min(aa, bb) > square(rounding)
     if x.tendon[s.REPORT_MOMENTS + FULL, n] <= MIN_FILLING or not moves:

@@ -14,17 +14,17 @@ def detect_host_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evid
     """Run the detectors of this module, and write their results."""
     # Lateness as a fraction of the period.
     late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]
-    missed = x.run_int[s.MISSED]
+    missed = x.run_int[s.MISSED_TICKS]
     if late > LATE_FRACTION:
         evidence[H01, 0] = late
     if missed >= 1:
         evidence[H02, 0] = missed
     if armed and missed >= c.run_int[h.STALLED_TICKS]:
         evidence[H03, 0] = missed
-    if armed and x.run_int[s.REFUSED_NOW]:
-        evidence[I07A, 0] = x.run_int[s.REFUSED_NOW]
-        if x.run_int[s.REFUSED] >= REFUSED_LIMIT:
-            evidence[I07B, 0] = x.run_int[s.REFUSED]
+    if armed and x.run_int[s.REFUSED_REQUESTS_NOW]:
+        evidence[I07A, 0] = x.run_int[s.REFUSED_REQUESTS_NOW]
+        if x.run_int[s.REFUSED_REQUESTS] >= REFUSED_LIMIT:
+            evidence[I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
     if armed and x.run_int[s.STREAMING] == 2:
         silence_ns = x.run_int[s.T_NS] - x.run_int[s.STREAM_SENT_NS]
         if silence_ns > c.run_int[h.STREAM_HOLD_NS]:

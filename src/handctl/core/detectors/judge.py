@@ -1,6 +1,6 @@
-"""Judgement of a tick: update the detectors' memory, find faults, debounce them.
+"""Judgement of a tick: update the detectors' memory, find faults, and debounce them.
 
-Latches, reports of buses and host, and the choice of the reaction are in ``safety.judge``.
+``safety.judge`` latches faults, adds the reports of buses and host, and chooses the reaction.
 """
 
 import math
@@ -31,27 +31,29 @@ from handctl.safety.faults.table import ACTIONS, DEBOUNCE
 
 FAULT_ROWS = len(ACTIONS)
 ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
-"""Numbers of ``core.types.Mode``. Torque may act from ARMING to RELAX, and must not in DISARM and CUT."""
+"""Numbers of ``core.types.Mode``. Torque may act from ARMING to RELAX, and must not act in DISARM and CUT."""
 
 
 @inner
 def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]:
-    """Judge a tick.
+    """Find the faults of a tick, and debounce them. Write the number of newly active faults to ``NEW_FAULTS``.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        initial: tables before the first tick.
+        initial: state tables before the first tick.
 
     Returns:
-        Largest action of all counting faults, and evidence (faults, instances) of each fault, NaN
-            where absent. ``FOUND_NOW`` is set to the number of newly counting faults.
+        Largest action of all active faults, and evidence (faults, instances) of each fault, NaN
+            where absent.
     """
     mode = x.run_int[s.MODE]
     armed = ARMING <= mode <= RELAX
     cut = mode == CUT or mode == DISARM
     evidence = np.full((FAULT_ROWS, x.instance_int.shape[1]), math.nan)
-    losses.update_loss_counts(x, c, x.run_int[s.T_NS], x.run_int[s.UNKNOWN_FRAMES], armed and x.run_int[s.MISSED] == 0)
+    losses.update_loss_counts(
+        x, c, x.run_int[s.T_NS], x.run_int[s.UNKNOWN_FRAMES], armed and x.run_int[s.MISSED_TICKS] == 0
+    )
     bus.detect_bus_faults(x, c, armed, evidence)
     node.detect_node_faults(x, c, armed, evidence)
     tendon.detect_tendon_faults(x, c, armed, evidence)
@@ -71,7 +73,7 @@ def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> t
 @inner
 def update_fault_memory(x: Tables, c: ConstantTables) -> None:
     """Update the detectors' memory of a hand under torque."""
-    missed = x.run_int[s.MISSED]
+    missed = x.run_int[s.MISSED_TICKS]
     tared = x.run_int[s.TARED] == 1
     slip.update_slip(x, c, tared)
     servo.predict_reports(x, c)
@@ -85,7 +87,7 @@ def update_fault_memory(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def debounce_faults(x: Tables, evidence: Evidence) -> int:
-    """Count consecutive ticks of each fault. Return the largest action of all counting faults."""
+    """Count the ticks in a row with each fault. Return the largest action of all active faults."""
     action = 0
     fresh = 0
     for row in range(evidence.shape[0]):
@@ -98,5 +100,5 @@ def debounce_faults(x: Tables, evidence: Evidence) -> int:
             if ticks >= DEBOUNCE[row]:
                 action = max(action, ACTIONS[row])
                 fresh += ticks == DEBOUNCE[row]
-    x.run_int[s.FOUND_NOW] = fresh
+    x.run_int[s.NEW_FAULTS] = fresh
     return action

@@ -1,4 +1,4 @@
-"""Counts of lost, malformed and unknown frames over time, as bits of the last ticks, with the newest in bit 0."""
+"""Counts of lost, malformed and unknown frames. Lost and malformed frames are a bit per tick, the newest in bit 0."""
 
 from handctl.compiled import inner
 from handctl.core import block as s
@@ -11,9 +11,11 @@ from handctl.safety.faults.node import HALF_RATE_MISSES
 AGE_WITHOUT_READING = 1_000_000
 """Age without any reading [ticks]."""
 BITS_PER_WORD = WINDOW // 2
-"""Bits in each of the two words of a window."""
+"""Bits in each of the two words that store ``WINDOW`` ticks."""
 WORD_MASK = (1 << BITS_PER_WORD) - 1
+"""Mask of the bits of such a word."""
 SHORT_MASK = (1 << SHORT_WINDOW) - 1
+"""Mask of the bits of the last ``SHORT_WINDOW`` ticks."""
 
 
 @inner
@@ -41,7 +43,8 @@ def motor_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> in
 def cell_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the reading of a load cell is overdue.
 
-    A tendon without a cell has the age of the node's latest frame, 0 in a hand without load cells.
+    For a tendon without a load cell, the latest frame of the sensor node counts. The result is 0 in
+    a hand without load cells.
     """
     group = c.tendon_int[h.CELL_GROUP, n]
     heard_ns = -1
@@ -55,13 +58,13 @@ def cell_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int
 
 @inner
 def update_loss_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool) -> None:
-    """Update the counts.
+    """Update the counts of lost, malformed and unknown frames.
 
     Args:
         x: state tables.
         c: constants of the hand.
         now_ns: time of the tick [ns].
-        unknown: frames with unknown identifiers in the tick.
+        unknown: number of frames with unknown identifiers in the tick.
         judged: True if missing replies count: torque may act, and no tick was missed.
     """
     tendons = x.tendon.shape[1]
@@ -72,16 +75,18 @@ def update_loss_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, 
         else:
             for n in range(tendons):
                 late |= cell_ticks_overdue(x, c, n, now_ns) > 0
-        recent = x.node_int[s.LOST, node]
-        earlier = x.node_int[s.LOST + 1, node]
-        # A shift register of two words: the oldest bit of the recent word moves into the earlier word.
-        x.node_int[s.LOST + 1, node] = (earlier << 1 | recent >> (BITS_PER_WORD - 1)) & WORD_MASK
-        x.node_int[s.LOST, node] = (recent << 1 | (late and judged)) & WORD_MASK
-        misread = x.node_int[s.MISREAD_NOW, node] != 0
+        recent = x.node_int[s.LOST_REPLIES, node]
+        earlier = x.node_int[s.LOST_REPLIES + 1, node]
+        # A shift register of two words: the oldest bit of the recent word moves into the earlier
+        # word.
+        x.node_int[s.LOST_REPLIES + 1, node] = (earlier << 1 | recent >> (BITS_PER_WORD - 1)) & WORD_MASK
+        x.node_int[s.LOST_REPLIES, node] = (recent << 1 | (late and judged)) & WORD_MASK
+        misread = x.node_int[s.MALFORMED_NOW, node] != 0
         x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
-    # Leaky counter with a time constant of 1 s. A small rest becomes 0, so that the counter comes to an end.
-    leaked = x.run[s.UNKNOWN] * (1.0 - c.run[h.PERIOD]) + unknown
-    x.run[s.UNKNOWN] = leaked if leaked > 1e-3 else 0.0
+    # Leaky counter with a time constant of 1 s. A small remainder is set to 0, so that the counter
+    # becomes constant.
+    leaked = x.run[s.UNKNOWN_RATE] * (1.0 - c.run[h.PERIOD]) + unknown
+    x.run[s.UNKNOWN_RATE] = leaked if leaked > 1e-3 else 0.0
 
 
 @inner
@@ -89,7 +94,7 @@ def count_set_bits(bits: int) -> int:
     """Return the number of set bits."""
     number = 0
     while bits:
-        # Clears the lowest set bit.
+        # This clears the lowest set bit.
         bits &= bits - 1
         number += 1
     return number
@@ -97,13 +102,13 @@ def count_set_bits(bits: int) -> int:
 
 @inner
 def count_lost_replies(x: Tables, node: int) -> int:
-    """Return how many of the last ``WINDOW`` ticks had no reply."""
-    return count_set_bits(x.node_int[s.LOST, node]) + count_set_bits(x.node_int[s.LOST + 1, node])
+    """Return the number of the last ``WINDOW`` ticks without a reply of the node."""
+    return count_set_bits(x.node_int[s.LOST_REPLIES, node]) + count_set_bits(x.node_int[s.LOST_REPLIES + 1, node])
 
 
 @inner
 def misses_every_second(x: Tables, node: int) -> bool:
-    """Return True if a node missed about every other tick of ``SHORT_WINDOW``, and two in a row at most once."""
-    recent = x.node_int[s.LOST, node] & SHORT_MASK
+    """Return True if a node missed about every second tick of ``SHORT_WINDOW``, and two ticks in a row at most once."""
+    recent = x.node_int[s.LOST_REPLIES, node] & SHORT_MASK
     # Bits of two misses in a row: the word ANDed with itself shifted by one.
     return count_set_bits(recent) >= HALF_RATE_MISSES and count_set_bits(recent & recent >> 1) <= 1

@@ -92,7 +92,7 @@ def _detect_silent_sensors(x: Tables, c: ConstantTables, evidence: Evidence) -> 
     last = -1
     for j in range(x.joint.shape[1]):
         group = c.joint_int[h.JOINT_GROUP, j]
-        if group > last:  # the first joint of a frame stands for it
+        if group > last:  # the first joint of a frame represents the frame
             last = group
             heard_ns = x.group_int[s.GROUP_NS, group]
             if heard_ns < now_ns - c.run_int[h.MUTE_NS]:
@@ -101,18 +101,18 @@ def _detect_silent_sensors(x: Tables, c: ConstantTables, evidence: Evidence) -> 
 
 @inner
 def _detect_rejected_positions(x: Tables, evidence: Evidence) -> None:
-    """Find rejected positions. The row of motors is followed by the row of joints."""
+    """Find rejected positions. The result row of joints follows the row of motors."""
     for n in range(x.tendon.shape[1]):
-        if x.tendon[s.JUMP, n] > 0.0:
-            evidence[N05A, n] = x.tendon[s.JUMP, n]
-            if x.tendon[s.DROPPED, n] > 1.0:
-                evidence[N05B, n] = x.tendon[s.JUMP, n]
+        if x.tendon[s.REJECTED_STEP, n] > 0.0:
+            evidence[N05A, n] = x.tendon[s.REJECTED_STEP, n]
+            if x.tendon[s.REJECTED_POSITIONS, n] > 1.0:
+                evidence[N05B, n] = x.tendon[s.REJECTED_STEP, n]
     for j in range(x.joint.shape[1]):
-        if x.joint[s.JOINT_JUMP, j] > 0.0:
-            # A fault of motors and joints has a row for each: the joints' row is the next one.
-            evidence[N05A + 1, j] = x.joint[s.JOINT_JUMP, j]
-            if x.joint[s.JOINT_DROPPED, j] > 1.0:
-                evidence[N05B + 1, j] = x.joint[s.JOINT_JUMP, j]
+        if x.joint[s.REJECTED_JOINT_STEP, j] > 0.0:
+            # A fault of motors and joints has two rows. The row of the joints is the second.
+            evidence[N05A + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
+            if x.joint[s.REJECTED_JOINT_ANGLES, j] > 1.0:
+                evidence[N05B + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
 
 
 @inner
@@ -139,10 +139,10 @@ def detect_node_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evid
 
 @inner
 def _detect_stuck_encoders(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find encoders with constant readings despite motion. The row of motors is followed by the row of joints."""
+    """Find encoders with constant readings despite motion. The result row of joints follows the row of motors."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
-            goal = stuck.motion_since_reading(x.tendon[s.FOLLOWED, n], x.tendon[s.MOTOR_ANCHOR, n])
+            goal = stuck.motion_since_reading(x.tendon[s.FILTERED_GOAL, n], x.tendon[s.MOTOR_ANCHOR, n])
             tension = stuck.motion_since_reading(stuck.reference_tension(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n])
             if goal > STUCK_GOAL_M or tension > STUCK_TENSION_N:
                 evidence[N04, n] = max(goal * 1e3, tension)

@@ -1,8 +1,9 @@
 """Low-passed residuals of a tendon: tension minus motor torque, inertia and friction, and similar differences.
 
-A rotor at the spool: m a = F - T - b v - c sign(v). A further force in the load cell's reading,
-over a fifth of a second, is an error of the cell, the motor or the friction. The thresholds are far
-from the noise: no false alarm in ten thousand hours.
+The rotor at the spool obeys m a = F - T - b v - c sign(v), with motor force F, tension T, viscous
+friction b and Coulomb friction c. If the measurements disagree with this equation over 0.2 s, the
+load cell, the motor or the friction differs from the model. The thresholds are far above the noise:
+less than one false alarm in ten thousand hours.
 """
 
 import math
@@ -21,7 +22,7 @@ BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCE
 TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 """Time constant of each row [s]."""
 GAIN_FRACTION = 0.1
-"""Tolerance of the torque constant, as a fraction of the motor force. Source: usual tolerance of K_t."""
+"""Tolerance of the torque constant K_t, as a fraction of the motor force. Source: usual tolerance of motors."""
 FULL_FRICTION_SPEED = 5e-3
 """Tendon speed of fully developed friction [m/s]."""
 
@@ -33,12 +34,13 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. The duration of a motion is then unknown.
+        missed: ticks missed before the present tick. After missed ticks positions and speeds are
+            not used.
         tared: True if the load cells' zero is known.
     """
     now = np.empty(8)
-    initialized = x.run_int[s.FILTERED] == 1
-    x.run_int[s.FILTERED] = 1
+    initialized = x.run_int[s.RESIDUALS_STARTED] == 1
+    x.run_int[s.RESIDUALS_STARTED] = 1
     for n in range(x.tendon.shape[1]):
         position = x.tendon[s.MEASURED_POSITION, n] if missed == 0 else math.nan
         speed = x.tendon[s.SPEED, n] if missed == 0 else math.nan
@@ -48,24 +50,24 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
         made = commanded if math.isnan(force) else force
         monitored = monitored_tension(x, c, n, tared)
         if not initialized:
-            # What is filtered quickly begins at what is there.
+            # The fast filters start at the present values.
             x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(monitored) else monitored
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
         turned = position - x.tendon[s.LAST_POSITION, n]
         # Friction as tanh(1000 v): full above some millimetres per second, without chatter at rest.
-        drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.COULOMB, n] * math.tanh(speed * 1e3)
+        drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed * 1e3)
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
         balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
         now[BALANCE] = balance
         now[MOTOR_FORCE] = made
         now[COMMAND_DIFFERENCE] = commanded - force
-        if c.tendon_int[h.SERVO, n]:
+        if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             now[COMMAND_DIFFERENCE] = x.servo[s.SERVO_REPORT, n] - force
         now[TENSION] = monitored
         now[QUICK_FORCE] = made
         now[SLIP] = x.tendon[s.SLIP, n]
-        now[JERK] = square(turned - x.tendon[s.LAST_TURNED, n])
-        # Against the motion: what rubs has the sign of the speed.
+        now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
+        # Friction has the sign of the speed.
         now[EXCESS_FRICTION] = math.copysign(1.0, speed) * balance if abs(speed) > FULL_FRICTION_SPEED else math.nan
         for row in range(8):
             low = x.tendon[s.RESIDUAL + row, n]
@@ -73,13 +75,13 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
                 x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (now[row] - low)
         x.tendon[s.LAST_SPEED, n] = speed
         x.tendon[s.LAST_POSITION, n] = position
-        x.tendon[s.LAST_TURNED, n] = turned
+        x.tendon[s.LAST_POSITION_STEP, n] = turned
 
 
 @inner
 def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the tension beyond friction and the tolerance of the torque constant [N], 0 or more."""
-    explained = c.tendon[h.COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n])
+    """Return the tension that friction and the tolerance of the torque constant do not explain [N], 0 or more."""
+    explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n])
     return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - explained, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Tension history of a tendon: last taut, duration of slack, tension at and after a cut of the torque."""
+"""Tension history of a tendon: time since it was taut, duration of slack, tension at and after a cut of the torque."""
 
 import math
 
@@ -11,7 +11,7 @@ from handctl.core.detectors.residuals import TENSION
 from handctl.safety.faults.tendon import SLACK_N, TAUT_N
 
 LATE_READING_S = 0.08
-"""Time after the cut from which the last reading counts if the latest is missing [s]."""
+"""Time after the cut from which the latest reading is stored as the tension after the cut [s]."""
 
 
 @inner
@@ -21,20 +21,21 @@ def update_slack_history(x: Tables, c: ConstantTables) -> None:
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.RESIDUAL + TENSION, n]
         commanded = x.tendon[s.COMMANDED_TENSION, n]
-        pair = c.tendon_int[h.PAIR, n] == 1
+        pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
         if pair and commanded < 0.0:
             tension = -tension
             commanded = -commanded
-        # No tension is commanded: forget the history, no tendon may be called snapped.
+        # Without a commanded tension the history is cleared, so that no tendon counts as snapped.
         if math.isnan(commanded):
-            x.tendon_int[s.TAUT_AGO, n] = -1
+            x.tendon_int[s.TICKS_SINCE_TAUT, n] = -1
             x.tendon_int[s.SLACK_TICKS, n] = 0
         elif tension > TAUT_N:
-            x.tendon_int[s.TAUT_AGO, n] = 0
+            x.tendon_int[s.TICKS_SINCE_TAUT, n] = 0
             x.tendon_int[s.SLACK_TICKS, n] = 0
-        elif x.tendon_int[s.TAUT_AGO, n] >= 0:
-            x.tendon_int[s.TAUT_AGO, n] += 1
-            # Below twice the pretension both tendons of a pair are taut, whatever the net tension is.
+        elif x.tendon_int[s.TICKS_SINCE_TAUT, n] >= 0:
+            x.tendon_int[s.TICKS_SINCE_TAUT, n] += 1
+            # Below twice the pretension both tendons of a pair are taut, whatever the net tension
+            # is.
             loose = tension < SLACK_N and commanded > max(TAUT_N, 2.0 * c.tendon[h.PRETENSION, n])
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
         is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
@@ -45,8 +46,9 @@ def update_slack_history(x: Tables, c: ConstantTables) -> None:
 def update_history_after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the history after a cut of the torque.
 
-    The tension at the cut is the first reading after the cut. If missing, as frames often are where
-    a cut was necessary, it is the last reading before, or the first later reading.
+    The tension at the cut is the reading in the tick of the cut. If it is missing, the last reading
+    before the cut is used, or the first later reading. Frames are often missing when a cut is
+    necessary.
 
     Args:
         x: state tables.
@@ -57,7 +59,7 @@ def update_history_after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
         if ticks == 0:
-            x.tendon[s.TENSION_AT_CUT, n] = x.tendon[s.CELL_VALUE, n] if math.isnan(tension) else tension
+            x.tendon[s.TENSION_AT_CUT, n] = x.tendon[s.STUCK_TEST_TENSION, n] if math.isnan(tension) else tension
         elif math.isnan(x.tendon[s.TENSION_AT_CUT, n]):
             x.tendon[s.TENSION_AT_CUT, n] = tension
         if ticks * c.run[h.PERIOD] < LATE_READING_S:

@@ -1,4 +1,4 @@
-"""Difference of joint encoders and spool since the tendon became taut."""
+"""Slip of a tendon: change of the difference of joint encoders and spool since the tendon became taut."""
 
 import math
 
@@ -11,13 +11,13 @@ from handctl.core.estimation.measure import monitored_tension
 from handctl.safety.faults.tendon import DERAILED_DEG, SLACK_N, TAUT_N
 
 SETTLE_S = 0.1
-"""Time between taut tendon and reference measurement of joint against spool [s]."""
+"""Time for which a tendon must be taut before its reference of joint encoders against spool is measured [s]."""
 DEG_PER_RAD = 180.0 / math.pi
 
 
 @inner
 def update_slip(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Update the difference.
+    """Update the slip of each tendon.
 
     Args:
         x: state tables.
@@ -27,20 +27,20 @@ def update_slip(x: Tables, c: ConstantTables, tared: bool) -> None:
     read = x.run_int[s.JOINTS_READ] == 1
     for n in range(x.tendon.shape[1]):
         tension = monitored_tension(x, c, n, tared)
-        if c.tendon_int[h.PAIR, n]:
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]  # one of the two is always taut
         elif tension < SLACK_N:
             x.tendon[s.TAUT_S, n] = 0.0
         elif tension > TAUT_N:
             x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
-        stretch = tension / c.tendon[h.STIFFNESS, n]
+        stretch = tension / c.tendon[h.TENDON_STIFFNESS, n]
         apart = x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]
-        if read and math.isnan(x.tendon[s.SLIP_FROM, n]):
-            x.tendon[s.SLIP_FROM, n] = apart
+        if read and math.isnan(x.tendon[s.SLIP_REFERENCE, n]):
+            x.tendon[s.SLIP_REFERENCE, n] = apart
         if x.tendon[s.TAUT_S, n] <= SETTLE_S:
-            x.tendon[s.SLIP_FROM, n] = math.nan
+            x.tendon[s.SLIP_REFERENCE, n] = math.nan
         x.tendon[s.SLIP, n] = math.nan
         if read:
-            x.tendon[s.SLIP, n] = (apart - x.tendon[s.SLIP_FROM, n]) / c.tendon[h.ARMS_SUM, n] * DEG_PER_RAD
+            x.tendon[s.SLIP, n] = (apart - x.tendon[s.SLIP_REFERENCE, n]) / c.tendon[h.ARMS_SUM, n] * DEG_PER_RAD
             far = abs(x.tendon[s.SLIP, n]) > DERAILED_DEG
-            x.tendon[s.DERAILED, n] = x.tendon[s.DERAILED, n] + 1.0 if far else 0.0
+            x.tendon[s.DERAILED_READINGS, n] = x.tendon[s.DERAILED_READINGS, n] + 1.0 if far else 0.0

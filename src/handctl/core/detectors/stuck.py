@@ -1,8 +1,8 @@
 """Detection of stuck readings. A reading is stuck if it is constant while a correlated reference signal moves.
 
-A sensor at rest is healthy. The references of a motor's encoder are the tendon's goal and the
-tension. The reference of a load cell is the motor force, and of a joint encoder the joint angle as
-turned by the spools.
+A sensor whose reference is at rest is healthy. A motor's encoder has two references: the tendon's
+goal and the tension. The reference of a load cell is the motor force. The reference of a joint
+encoder is the joint angle by the spools.
 """
 
 import math
@@ -17,20 +17,20 @@ from handctl.core.estimation.structure import joint_excursion
 from handctl.core.law.reference import is_tendon_streamed
 
 FOLLOW_S = 0.1
-"""Time constant of a motor following a jump of the goal, with a large margin [s]."""
+"""Time constant with which a motor follows a jump of its goal, with a large margin [s]."""
 SLOW_GOAL_M_S = 2e-3
-"""Speed of a goal below which the motor follows at once [m/s]."""
+"""Speed of a goal below which the motor follows without delay [m/s]."""
 ARRIVED_M = 0.2e-3
-"""Distance to the goal of a motor at rest at the goal [m]."""
+"""Distance of excursion and goal below which a motor has reached its goal [m]."""
 GOAL_JUMP_M = 2.0 * ARRIVED_M
-"""Step of a goal in a tick beyond the motion of an arriving digit [m]."""
+"""Step of the filtered goal in a tick from which it counts as a jump and not as a motion of the digit [m]."""
 PRESSED_N = 8.0
-"""Tension above the goal from which a streamed digit counts as held by something [N]."""
+"""Tension above the tension goal from which a streamed digit counts as held by an object [N]."""
 
 
 @inner
 def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Update the stuck counts. A missing reading is neither equal nor different.
+    """Update the stuck counts. A missing reading changes no count.
 
     Args:
         x: state tables.
@@ -38,11 +38,12 @@ def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
         tared: True if the load cells' zero is known.
     """
     for n in range(x.tendon.shape[1]):
-        # Not the travel, from which the moving angle of a carrier is subtracted.
-        value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL, n]
-        last = x.tendon[s.MOTOR_VALUE, n]
+        # Not the travel: it changes with the angle of a carrier while the encoder's reading is
+        # constant.
+        value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL_RADIUS, n]
+        last = x.tendon[s.STUCK_TEST_POSITION, n]
         moved = not math.isnan(value) and value != last
-        goal = x.tendon[s.FOLLOWED, n]
+        goal = x.tendon[s.FILTERED_GOAL, n]
         tension = reference_tension(x, c, n)
         if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
             x.tendon[s.MOTOR_ANCHOR, n] = goal
@@ -50,18 +51,18 @@ def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.MOTOR_ANCHOR + 1, n] = tension
         if not math.isnan(value):
             x.tendon_int[s.MOTOR_STUCK, n] = 0 if moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
-            x.tendon[s.MOTOR_VALUE, n] = value
+            x.tendon[s.STUCK_TEST_POSITION, n] = value
         cell = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
-        last = x.tendon[s.CELL_VALUE, n]
+        last = x.tendon[s.STUCK_TEST_TENSION, n]
         moved = not math.isnan(cell) and cell != last
         if moved or math.isnan(x.tendon[s.CELL_ANCHOR, n]):
             x.tendon[s.CELL_ANCHOR, n] = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
         if not math.isnan(cell):
             x.tendon_int[s.CELL_STUCK, n] = 0 if moved else x.tendon_int[s.CELL_STUCK, n] + 1
-            x.tendon[s.CELL_VALUE, n] = cell
+            x.tendon[s.STUCK_TEST_TENSION, n] = cell
     for j in range(x.joint.shape[1]):
         value = x.joint[s.MEASURED_JOINT, j]
-        last = x.joint[s.JOINT_VALUE, j]
+        last = x.joint[s.STUCK_TEST_ANGLE, j]
         moved = not math.isnan(value) and value != last
         reference = joint_angle_by_spools(x, c, j)
         if not are_all_tendons_taut(x, c, j):
@@ -70,36 +71,36 @@ def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
             x.joint[s.JOINT_ANCHOR, j] = reference
         if not math.isnan(value):
             x.joint_int[s.JOINT_STUCK, j] = 0 if moved else x.joint_int[s.JOINT_STUCK, j] + 1
-            x.joint[s.JOINT_VALUE, j] = value
+            x.joint[s.STUCK_TEST_ANGLE, j] = value
 
 
 @inner
 def reference_tension(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return a tension that changes only if the tendon's own spool moves [N], NaN if there is no such tension.
+    """Return the tension of a tendon as a reference of its motor [N], NaN if other motors change this tension too.
 
-    An antagonist stretches a tendon whose own motor rests.
+    In a digit with surplus tendons an antagonist can stretch a tendon whose own motor is at rest.
     """
-    return math.nan if c.tendon_int[h.REDUNDANT, n] else x.tendon[s.RESIDUAL + TENSION, n]
+    return math.nan if c.tendon_int[h.HAS_SURPLUS, n] else x.tendon[s.RESIDUAL + TENSION, n]
 
 
 @inner
 def are_all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
-    """Return True if all tendons of a joint are taut. The spool of a slack tendon turns without the joint."""
+    """Return True if all tendons that move a joint are taut. The spool of a slack tendon does not move the joint."""
     for n in range(x.tendon.shape[1]):
-        if c.joint_tendon[h.MOVES, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
+        if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
             return False
     return True
 
 
 @inner
 def joint_angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
-    """Return the joint angle as turned by the spools [rad], NaN if unknown."""
+    """Return the joint angle by the positions of the spools [rad], NaN if a tendon of the joint is slack."""
     if not are_all_tendons_taut(x, c, j):
         return math.nan
     angle = c.joint[h.ANGLE_OFFSET, j]
     for n in range(x.tendon.shape[1]):
-        if c.joint_tendon[h.MOVES, j, n] != 0.0:
-            stretch = x.tendon[s.RESIDUAL + TENSION, n] / c.tendon[h.STIFFNESS, n]
+        if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0:
+            stretch = x.tendon[s.RESIDUAL + TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
             angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * (x.tendon[s.MEASURED_TRAVEL, n] - stretch)
     return angle
 
@@ -113,40 +114,41 @@ def motion_since_reading(reference: float, anchor: float) -> float:
 
 @inner
 def filter_goals(x: Tables, c: ConstantTables) -> None:
-    """Filter each motor's goal to the speed of a motor. A motor at rest is not stuck where the goal jumps.
+    """Filter each motor's goal to the speed of a motor, so that a motor is not stuck when its goal jumps.
 
-    While a reading moves the filtered goal is the goal itself. The goal's motion since the reading
-    became constant counts: friction may have stopped the motor short of the goal. A motor at rest
-    at the goal is not stuck while the filtered goal still approaches. From this tick on the
-    filtered goal is the digit's position. The goal of a streamed digit that presses on something does
-    not count: nobody knows beforehand that a target is beyond an object.
+    While the reading changes, the filtered goal equals the goal. The motion of the filtered goal
+    since the reading became constant counts, because friction may stop the motor before the goal.
+    When a motor has reached its goal, the filtered goal is set to the digit's position, and a jump
+    of the filtered goal by this does not count. The goal of a streamed digit that presses on an
+    object does not count either: a client may send targets beyond an object that it does not know.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S)
     min_step = SLOW_GOAL_M_S * c.run[h.PERIOD]
     for n in range(x.tendon.shape[1]):
         goal = 0.0
-        d = c.tendon_int[h.DIGIT, n]
+        d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 goal += joint_excursion(c, n, j, x.joint[s.Q_GOAL, j])
-        before = x.tendon[s.FOLLOWED, n]
+        before = x.tendon[s.FILTERED_GOAL, n]
         present = x.tendon[s.EXCURSION, n]
-        x.tendon[s.FOLLOWED, n] = goal
+        x.tendon[s.FILTERED_GOAL, n] = goal
         if math.isnan(before):
             continue
         change = goal - before
         if abs(change) > min_step and x.tendon_int[s.MOTOR_STUCK, n] != 0:
-            x.tendon[s.FOLLOWED, n] = before + math.copysign(max(fraction * abs(change), min_step), change)
+            x.tendon[s.FILTERED_GOAL, n] = before + math.copysign(max(fraction * abs(change), min_step), change)
         if abs(goal - present) < ARRIVED_M:
-            x.tendon[s.FOLLOWED, n] = present
+            x.tendon[s.FILTERED_GOAL, n] = present
             if abs(present - before) > GOAL_JUMP_M:
-                # It leaps to where the digit is: no motor had to follow that.
+                # The filtered goal jumps to the position of the digit. No motor had to follow this
+                # jump.
                 x.tendon[s.MOTOR_ANCHOR, n] += present - before
         elif _presses(x, c, n):
-            x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FOLLOWED, n] - before
+            x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - before
 
 
 @inner
 def _presses(x: Tables, c: ConstantTables, n: int) -> bool:
-    """Return True if a tendon of a streamed digit pulls harder than its motion needs."""
+    """Return True if the tension in a tendon of a streamed digit is much larger than its goal."""
     return is_tendon_streamed(x, c, n) and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSED_N

@@ -1,8 +1,8 @@
-"""Detection of a tension swinging about the command, from any cause: torque ripple, an oscillating loop.
+"""Detection of a tension that oscillates about the command, because of torque ripple or an unstable loop.
 
-A torque ripple of 0.1 N m near the resonance of rotor and tendon (about 20 Hz) swings a tendon by
-tens of newtons, below every other threshold. Cogging is invisible in the current, and therefore for
-N14.
+A torque ripple of 0.1 N m near the resonance of rotor and tendon (about 20 Hz) makes the tension
+oscillate by tens of newtons, below every other threshold. Cogging torque does not appear in the
+motor current, so N14 cannot detect it.
 """
 
 import math
@@ -22,7 +22,7 @@ MEAN_S = 0.025
 
 @inner
 def update_swing(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Update the amplitude of the swing, from measured minus commanded tension."""
+    """Update the mean square of each tension's oscillation, from measured minus commanded tension."""
     period = c.run[h.PERIOD]
     slow = 1.0 - math.exp(-period / SLOW_S)
     mean = 1.0 - math.exp(-period / MEAN_S)
@@ -32,7 +32,7 @@ def update_swing(x: Tables, c: ConstantTables, tared: bool) -> None:
         if tared and not math.isnan(deviation):
             x.tendon[s.SWING_SLOW, n] += slow * (deviation - x.tendon[s.SWING_SLOW, n])
             quick = deviation - x.tendon[s.SWING_SLOW, n]
-        # A missing reading counts as no swing.
+        # A missing reading counts as a reading without oscillation.
         x.tendon[s.SWING_SQUARE, n] += mean * (quick * quick - x.tendon[s.SWING_SQUARE, n])
         large = x.tendon[s.SWING_SQUARE, n] > square(SWING_N)
         x.tendon[s.SWING_S, n] = x.tendon[s.SWING_S, n] + period if large else 0.0

@@ -58,16 +58,18 @@ def detect_tendon_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Ev
     for n in range(x.tendon.shape[1]):
         # The load cell is read before its tare as well.
         tension = monitored_tension(x, c, n, True)
-        if c.tendon_int[h.PAIR, n]:
-            tension = abs(tension)  # of the tendon that pulls
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+            tension = abs(tension)  # both directions of a spool pair have the same limit
         if c.tendon[h.TENSION_TRIP, n] < tension < rail:
             evidence[T03, n] = tension
-        # An estimate is no proof that the drive exceeds its own limit.
+        # Only a load cell proves that the drive exceeds its own limit. An estimated tension does
+        # not.
         if c.tendon[h.DRIVE_LIMIT, n] < tension < rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
             evidence[T03B, n] = tension
         if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
-        # At an end of the range, or tared and beyond what a tendon can make: a tare may hide the one or the other.
+        # The raw reading may be at an end of its range, or the tared reading beyond any tension.
+        # Either may be hidden by the tare, so both are tested.
         if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
             evidence[T06, n] = tension
 
@@ -87,13 +89,13 @@ def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Ev
             evidence[T09, n] = rubs
         pushed = stuck.motion_since_reading(x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n])
         same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
-        if same and pushed > CELL_FORCE_N and x.tendon[s.CELL_VALUE, n] > TAUT_N:
+        if same and pushed > CELL_FORCE_N and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_N:
             evidence[T05, n] = pushed
         age = age_of_repeated_readings(x, n)
         if age > 0:
             evidence[T05B, n] = age
         slip = abs(x.tendon[s.SLIP, n])
-        if x.tendon[s.DERAILED, n] >= DERAILED_READINGS and slip > DERAILED_DEG:
+        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > DERAILED_DEG:
             evidence[T08, n] = slip
 
 
@@ -101,13 +103,14 @@ def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Ev
 def _planned_speed(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
-    It is 0 without a stream. Moves of tasks are slow, and the spool of a torn tendon follows them:
-    without their speed such a tendon would be found half a second later, as slack (T02b).
+    It is 0 without a stream. Moves of tasks are slow, and the spool of a torn tendon follows them.
+    If their speed were subtracted as well, a torn tendon would be found half a second later, as
+    slack (T02b).
     """
     speed = 0.0
     if not is_tendon_streamed(x, c, n):
         return speed
-    d = c.tendon_int[h.DIGIT, n]
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if not math.isnan(x.joint[s.DQ_GOAL, j]):
             speed += moment_arm(c, n, j, x.joint[s.Q_GOAL, j]) * x.joint[s.DQ_GOAL, j]
@@ -127,12 +130,12 @@ def _detect_slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> N
         evidence[T02B, n] = since
     tension = monitored_tension(x, c, n, x.run_int[s.TARED] == 1)
     planned = _planned_speed(x, c, n)
-    if c.tendon_int[h.PAIR, n] and commanded < 0.0:
+    if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded < 0.0:
         commanded = -commanded
         speed = -speed
         planned = -planned
         tension = -tension
-    was_taut = 0.0 <= x.tendon_int[s.TAUT_AGO, n] * period < SNAP_MEMORY_S
+    was_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_MEMORY_S
     beyond = speed - max(planned, 0.0)
     if beyond > SNAP_SPEED and commanded > SNAP_N and tension < SNAP_FRACTION * commanded and was_taut:
         evidence[T01, n] = beyond

@@ -1,1 +1,1 @@
-"""Estimation: from measurements to tensions, angles, contacts and forces, with variances."""
+"""Estimation of tensions, joint angles, contacts and forces from measurements, with variances."""

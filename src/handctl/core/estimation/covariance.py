@@ -1,9 +1,9 @@
-"""Covariance of the filter while measurements are missing, and until the covariance is steady again.
+"""Propagation of the filter's covariance from a missing measurement until the covariance is steady again.
 
-The steady gains assume a measurement in every tick. With a measurement in every second tick only,
-the steady gains would attribute twice the speed error, and correct for too long: the estimate
-swings or diverges. Therefore a missing measurement starts the propagation of every tendon's
-covariance, until the steady covariance is reached.
+The steady gains assume a measurement in every tick. If measurements come in every second tick only,
+the steady gains overestimate the speed error and correct for too long. The estimate then oscillates
+or diverges. Therefore a missing measurement starts the propagation of every tendon's covariance.
+The propagation ends when all covariances are close to their steady values.
 """
 
 import math
@@ -26,9 +26,9 @@ CELL_ERROR = 5
 MISSING_VARIANCE_FACTOR = 1e12
 """Variance factor of a missing measurement. It makes the Kalman gain zero."""
 STEADY_FRACTION = 0.02
-"""Largest relative deviation of a steady covariance's variances, tension included, from the steady values."""
+"""Largest relative difference of the variances from their steady values in a covariance that counts as steady."""
 HELD_TORQUE_S = 0.05
-"""Longest predicted time without a command [s]. Later, the drives' watchdogs have removed the torque."""
+"""Longest time without a command that is predicted [s]. After it the drives' watchdogs have removed the torque."""
 
 
 @inner
@@ -50,12 +50,12 @@ def correct_covariance(
     Returns:
         Standard deviation of the load-cell innovation [N].
     """
-    kind = x.tendon_int[s.KIND, n]
+    kind = x.tendon_int[s.FILTER_KIND, n]
     H = np.zeros((2, STATES))
     for m in range(2):
         for i in range(STATES):
             H[m, i] = c.design[n, kind, h.H_AT + STATES * m + i]
-    observable = c.design[n, kind, h.KNOWN_AT]
+    observable = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT]
     H[1, CELL_ERROR] = observable
     P = _present_covariance(x, c, n, kind)
     crossed = _multiply_by_transposed(P, H)
@@ -72,7 +72,8 @@ def correct_covariance(
     information[1] = -2.0 * b / determinant
     information[2] = a / determinant
     for i in range(STATES):
-        # What cannot be told from tension is not corrected, and its growth counts in the variance.
+        # A cell error that cannot be distinguished from tension is not corrected. Its variance
+        # grows instead.
         observed = observable if i == CELL_ERROR else 1.0
         gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
         gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
@@ -80,8 +81,8 @@ def correct_covariance(
     for i in range(STATES):
         for j in range(STATES):
             rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
-    # Joseph form (I - K H) P (I - K H)^T + K R K^T: symmetric and positive for any gain, so also for the
-    # consider gain that leaves the cell error out.
+    # Joseph form (I - K H) P (I - K H)^T + K R K^T. It is symmetric and positive for any gain, also
+    # for a gain that does not correct the cell error (Schmidt's consider filter).
     joseph = _multiply_by_transposed(_multiply(rest, P), rest)
     for i in range(STATES):
         for j in range(STATES):
@@ -91,14 +92,14 @@ def correct_covariance(
 
 @inner
 def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
-    """Predict all covariances (N, 7, 7) to the next tick. End the propagation once all are steady.
+    """Predict all covariances (N, 7, 7) to the next tick. End the propagation when all are steady.
 
-    A tendon with a new kind begins with the steady covariance.
+    A tendon whose filter kind has changed starts with the steady covariance of the new kind.
     """
     periods = 1 + ticks_to_predict(c, missed)
     steady = True
     for n in range(len(after)):
-        kind = x.tendon_int[s.KIND, n]
+        kind = x.tendon_int[s.FILTER_KIND, n]
         F = _copy_design_matrix(c, n, kind, h.F_AT)
         Q = _copy_design_matrix(c, n, kind, h.Q_AT)
         P = after[n]
@@ -107,38 +108,38 @@ def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int
             for i in range(STATES):
                 for j in range(STATES):
                     P[i, j] += Q[i, j]
-        # The propagated covariance belongs to the old model.
-        if kind != x.tendon_int[s.KIND_BEFORE, n]:
+        # The propagated covariance belongs to the old filter kind.
+        if kind != x.tendon_int[s.FILTER_KIND_BEFORE, n]:
             P = _copy_design_matrix(c, n, kind, h.P_AT)
         for i in range(STATES):
             for j in range(STATES):
                 x.tendon[s.COVARIANCE + STATES * i + j, n] = P[i, j]
         steady &= _is_steady(c, n, kind, P)
-    x.run_int[s.CARRIED] = not steady
+    x.run_int[s.COVARIANCE_PROPAGATED] = not steady
 
 
 @inner
 def ticks_to_predict(c: ConstantTables, missed: int) -> int:
-    """Return for how many missed ticks the covariance is predicted."""
+    """Return the number of missed ticks for which the covariance is predicted."""
     return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 
 @inner
 def predicted_tension_sigma(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the standard deviation of a predicted tension [N]."""
-    kind = x.tendon_int[s.KIND, n]
+    kind = x.tendon_int[s.FILTER_KIND, n]
     P = np.empty((STATES, STATES))
     for i in range(STATES):
         for j in range(STATES):
             P[i, j] = x.tendon[s.COVARIANCE + STATES * i + j, n]
-    return math.sqrt(_tension_variance(c, n, kind, P) + c.design[n, kind, h.DRIFT_AT])
+    return math.sqrt(_tension_variance(c, n, kind, P) + c.design[n, kind, h.CELL_ERROR_VARIANCE_AT])
 
 
 @inner
 def _present_covariance(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's prediction: propagated or steady."""
     P = _copy_design_matrix(c, n, kind, h.P_AT)
-    if x.run_int[s.CARRIED]:
+    if x.run_int[s.COVARIANCE_PROPAGATED]:
         for i in range(STATES):
             for j in range(STATES):
                 P[i, j] = x.tendon[s.COVARIANCE + STATES * i + j, n]
@@ -149,7 +150,7 @@ def _present_covariance(x: Tables, c: ConstantTables, n: int, kind: int) -> Matr
 def _is_steady(c: ConstantTables, n: int, kind: int, P: Matrix) -> bool:
     steady = _copy_design_matrix(c, n, kind, h.P_AT)
     for i in range(STATES):
-        observed = c.design[n, kind, h.KNOWN_AT] if i == CELL_ERROR else 1.0
+        observed = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT] if i == CELL_ERROR else 1.0
         if abs(P[i, i] - steady[i, i]) * observed > STEADY_FRACTION * steady[i, i] * observed:
             return False
     variance = _tension_variance(c, n, kind, steady)
@@ -161,7 +162,7 @@ def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
     variance = 0.0
     for i in range(STATES):
         for j in range(STATES):
-            variance += c.design[n, kind, h.TENSION_AT + i] * P[i, j] * c.design[n, kind, h.TENSION_AT + j]
+            variance += c.design[n, kind, h.TENSION_ROW_AT + i] * P[i, j] * c.design[n, kind, h.TENSION_ROW_AT + j]
     return variance
 
 

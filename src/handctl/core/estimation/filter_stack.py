@@ -1,4 +1,4 @@
-"""The tension filter as arrays: states, regimes, blocks of a tendon, and all tendons as a single filter."""
+"""Arrays of the tension filter: its states and regimes, the design of a tendon, and all tendons as a single filter."""
 
 import enum
 import functools
@@ -23,7 +23,7 @@ motor [N], load-cell error [N], stretch offset [m].
 
 
 class Regime(enum.IntEnum):
-    """Coupling of a tendon's model."""
+    """Regime of a tendon: the coupling of motor and digit in the filter's model."""
 
     FREE = 0
     """Taut and free: the digit follows the tendon, and the tension changes no faster than friction reverses."""
@@ -34,8 +34,8 @@ class Regime(enum.IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
-    """Filter of a tendon in a regime.
+class FilterBlock:
+    """Steady-state filter of a tendon in a regime.
 
     Attributes:
         F: transition over a period, (7, 7).
@@ -45,10 +45,11 @@ class Block:
         Q: process noise covariance of a period, (7, 7).
         R: variances of encoder and load cell, (2,).
         P: covariance of the prediction in steady state, (7, 7).
-        known: True if the load-cell error is observable.
-        drift: variance of an unobservable load-cell error, as part of the tension's variance [N^2].
-        tension_row: tension of a state, (7,).
-        tension_variance: of the predicted tension [N^2].
+        cell_error_observable: True if the load-cell error is observable.
+        cell_error_variance: variance of an unobservable load-cell error, a part of
+            ``tension_variance`` [N^2].
+        tension_row: tension per state, (7,).
+        tension_variance: variance of the predicted tension [N^2].
         innovation_information: inverse covariance of encoder and load-cell innovations, (2, 2).
         cell_sigma: standard deviation of the load-cell innovation [N].
     """
@@ -60,8 +61,8 @@ class Block:
     Q: Matrix
     R: Matrix
     P: Matrix
-    known: bool
-    drift: float
+    cell_error_observable: bool
+    cell_error_variance: float
     tension_row: Matrix
     tension_variance: float
     innovation_information: Matrix
@@ -69,11 +70,11 @@ class Block:
 
 
 class Transition(NamedTuple):
-    """All tendons as a filter of 7 N states, state after state: the travels of all tendons, then the speeds, ...
+    """Transition of all tendons over a period. The 7 N states are the travels of all tendons, then the speeds, ...
 
     Attributes:
-        F: (7N, 7N).
-        B: (7N, 2N).
+        F: transition of the states, (7N, 7N).
+        B: effect of the inputs, (7N, 2N).
     """
 
     F: Matrix
@@ -81,19 +82,21 @@ class Transition(NamedTuple):
 
 
 TRANSITION_CACHE_SIZE = 256
-"""Cached combinations of kinds. A combination of eleven tendons takes 60 kB, and there are 6^11 combinations."""
+"""Number of cached transitions. One of eleven tendons takes 60 kB, and there are 6^11 combinations of kinds."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilterDesign:
-    """Blocks of every tendon and kind, ``blocks[tendon][kind]``. A kind is a regime, or 3 + a doubted regime.
+    """Filters of all tendons.
 
     Attributes:
-        transition: matrices of N kinds, as bytes of int64. Cached, because kinds change far more
-            rarely than ticks.
+        blocks: ``blocks[tendon][kind]``. The kind is the regime, plus 3 for a filter with added
+            noise.
+        transition: function from the N kinds, as bytes of int64, to the transition of all tendons.
+            It is cached, because kinds change in few ticks.
     """
 
-    blocks: tuple[tuple[Block, ...], ...]
+    blocks: tuple[tuple[FilterBlock, ...], ...]
     transition: "Callable[[bytes], Transition]" = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -111,7 +114,8 @@ class FilterDesign:
 
 
 def _stack_blocks(blocks: list[Matrix]) -> Matrix:
-    """Return blocks (rows, columns) of N tendons as a matrix. The tendons are the inner index of both dimensions."""
+    """Return the matrix of N tendons from a block (rows, columns) of each. The tendon is the inner index of rows and
+    columns."""
     n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
     # Index (row, tendon, column, tendon): only equal tendons are coupled.
     matrix = np.zeros((rows, n, columns, n))

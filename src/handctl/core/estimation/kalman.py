@@ -1,10 +1,10 @@
 """The tension filter: from load cell, encoder and joint encoders to tension, excursion and contact force.
 
-All tendons are a single linear filter. ``correct_filter`` updates by the measurements, ``filterpy``
-predicts all states to the present (in ``controller.tick``), and ``derive_estimate`` derives the estimate.
-A missing or saturated measurement has no innovation. The covariance is then propagated until it is
-steady again. A single outlier is rejected. The measurements of a tick were taken a period earlier,
-just before the previous command took effect.
+All tendons are a single linear filter. ``correct_filter`` corrects the states by the measurements,
+``filterpy`` predicts them to the present (in ``controller.tick``), and ``derive_estimate`` derives
+the estimate. A missing or saturated measurement has no innovation. The covariance is then
+propagated until it is steady again. A single outlier is rejected. The measurements of a tick were
+taken a period earlier, just before the command of that tick took effect.
 """
 
 import math
@@ -17,7 +17,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation import covariance as carried
+from handctl.core.estimation import covariance
 from handctl.core.estimation.statics import (
     subtract_passing_torque,
     value_from_other_tendons,
@@ -43,66 +43,66 @@ FREE = 0
 HELD = 1
 SLACK = 2
 STOP_BAND_REST_M = 2e-5
-"""Limit of the excursion at which a digit comes to rest on the open stop [m]."""
+"""Excursion above the open stop below which a digit comes to rest on the stop [m]."""
 STOP_BAND_STAY_M = 1e-4
-"""Limit of the excursion at which a digit stays on the open stop [m]."""
+"""Excursion above the open stop below which a digit stays on the stop [m]."""
 STOP_PULL_REST = 0.8
-"""Limit of the pull at which a digit comes to rest on the open stop, as a fraction of the springs' requirement.
+"""Pull below which a digit comes to rest on the open stop, as a fraction of the springs' force.
 
 The fraction is so small that friction cannot hold the digit just above the stop.
 """
 STOP_PULL_STAY = 1.05
-"""Limit of the pull at which a digit stays on the open stop, as a fraction of the springs' requirement."""
+"""Pull below which a digit stays on the open stop, as a fraction of the springs' force."""
 SLACK_LENGTH_M = 2e-4
-"""Slack length for a load cell showing nothing but the error [m]."""
+"""Slack length above which a load cell certainly measures nothing but its error [m]."""
 OUTLIER_GATE = 5.0
 """Innovation above which a single load-cell sample is rejected, in standard deviations."""
 STEP_GATE = 2.5
-"""Innovation above which two load-cell samples in a row, on the same side, are accepted without smoothing.
+"""Innovation of two load-cell samples in a row, with one sign, above which they count as a step of the tension.
 
-In standard deviations.
+It is in standard deviations.
 """
 STEP_FRACTION = 0.8
-"""Fraction of the second innovation accepted at once."""
-DOUBT_S = 1.0
-"""Averaging time of NIS [s]. The ideal mean is 2."""
-DOUBT_ABOVE = 8.0
+"""Fraction of the second innovation of a step by which the tension is corrected at once."""
+MEAN_NIS_S = 1.0
+"""Averaging time of NIS for the consistency of the model [s]. The ideal mean is 2."""
+INCONSISTENT_NIS = 8.0
 """Mean NIS above which the model counts as inconsistent."""
-DOUBT_BELOW = 4.0
+CONSISTENT_NIS = 4.0
 """Mean NIS below which the model counts as consistent again."""
 NOISE_NIS_S = 0.25
-"""Averaging time of NIS for adapting the noise [s]."""
+"""Averaging time of NIS for adding process noise [s]."""
 NOISE_NIS_LIMIT = 3.2
-"""Mean NIS above which the noise is adapted."""
-ADAPTED_NOISE_S = 20.0
-"""Duration of an adapted noise [s]."""
-ADAPTED_NOISE_PERIOD_S = 5e-3
-"""Longest control period with adapted noise [s].
+"""Mean NIS of a tendon above which process noise is added."""
+MAX_ADDED_NOISE_S = 20.0
+"""Time for which added process noise is kept after NIS has fallen below the limit [s]."""
+ADDED_NOISE_MAX_PERIOD_S = 5e-3
+"""Longest control period at which process noise is added [s].
 
-At 100 Hz the faster filter passes encoder noise on to the torque: jamia11 with ODrives swung up to
-234 N instead of 147, and reported a snapped tendon.
+At 100 Hz the filter with added noise passes encoder noise on to the torque: the tensions of jamia11
+with ODrives oscillated up to 234 N instead of 147 N, and a snapped tendon was reported.
 """
 NOISE_NIS_LIMIT_OF_HAND = 2.5
-"""Mean over all tendons of the hand above which noise is adapted.
+"""Mean NIS over all tendons of the hand above which process noise is added to all tendons.
 
-Wrong friction in all tendons shows sooner than in a single tendon.
+Wrong friction in all tendons is visible sooner in this mean than in the NIS of a single tendon.
 """
 MAX_NIS_SAMPLE = 100.0
-"""Upper limit of a NIS sample, so a single sample raises no doubt."""
+"""Upper limit of a NIS sample, so that a single sample does not make the model inconsistent."""
 
 
 @inner
 def filter_kind(x: Tables, n: int) -> int:
-    """Return the index of a tendon's filter design: the regime, plus 3 while the filter doubts the model."""
+    """Return the index of a tendon's filter design: the regime, plus 3 while process noise is added."""
     regime = x.tendon_int[s.REGIME, n]
-    return regime + 3 if x.tendon[s.WARY, n] > 0.0 else regime
+    return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
 
 
 @inner
 def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
     """Correct the filter by the measurements of a tick, and judge slack, stops and contact.
 
-    A digit counts as held by ``PLANNED_CONTACT`` or ``BLOCKED``, see ``is_in_contact``.
+    A digit with ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see ``is_in_contact``.
 
     Args:
         x: state tables.
@@ -111,21 +111,22 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
     """
     count = x.tendon.shape[1]
     for n in range(count):
-        # The kind may change below. The measurements are still judged by the kind of the prediction.
-        x.tendon_int[s.KIND, n] = x.tendon_int[s.KIND_BEFORE, n] = filter_kind(x, n)
+        # The kind may change below. The measurements are still judged by the kind of the
+        # prediction.
+        x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
-    full = missed > 0 or x.run_int[s.CARRIED] == 1 or _is_measurement_missing(x, c, z)
+    full = missed > 0 or x.run_int[s.COVARIANCE_PROPAGATED] == 1 or _is_measurement_missing(x, c, z)
     gain = np.zeros((count, STATES, 3))
     information = np.zeros((count, 3))
     cell_sigma = np.zeros(count)
     after = np.zeros((count, STATES, STATES) if full else (0, 0, 0))
     for n in range(count):
-        kind = x.tendon_int[s.KIND, n]
+        kind = x.tendon_int[s.FILTER_KIND, n]
         _write_steady_gain(c, n, kind, gain[n], information[n])
         cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_AT]
         if full:
-            cell_sigma[n] = carried.correct_covariance(x, c, n, z[n], gain[n], after[n], information[n])
+            cell_sigma[n] = covariance.correct_covariance(x, c, n, z[n], gain[n], after[n], information[n])
     _gate_and_correct(x, c, innovation, gain, cell_sigma)
     _move_slack_with_taut(x, c)
     _judge_consistency(x, c, innovation, information, full)
@@ -133,15 +134,15 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
     _choose_filter_kinds(x)
     _write_external_tension(x, c, force)
     if full:
-        carried.predict_covariances(x, c, after, missed)
+        covariance.predict_covariances(x, c, after, missed)
 
 
 @inner
 def _usable_measurements(x: Tables) -> Matrix:
     """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN if missing.
 
-    A lost or saturated measurement is missing, as is the load cell of a tendon neither taut nor
-    certainly slack.
+    A lost or saturated measurement is missing. The load cell of a tendon that is neither taut nor
+    certainly slack is missing as well.
     """
     z = np.empty((x.tendon.shape[1], 3))
     for n in range(len(z)):
@@ -165,7 +166,9 @@ def _innovations(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
         for m in range(3):
             expected = 0.0
             for i in range(STATES):
-                expected += c.design[n, x.tendon_int[s.KIND, n], h.H_AT + STATES * m + i] * x.tendon[s.TRAVEL + i, n]
+                expected += (
+                    c.design[n, x.tendon_int[s.FILTER_KIND, n], h.H_AT + STATES * m + i] * x.tendon[s.TRAVEL + i, n]
+                )
             innovation[n, m] = z[n, m] - expected
     return innovation
 
@@ -203,37 +206,38 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
     """
     for n in range(len(innovation)):
         cell = innovation[n, 1]
-        surprise = 0.0 if math.isnan(cell) else cell / cell_sigma[n]
-        before = x.tendon[s.SURPRISE, n]
-        again = abs(surprise) > STEP_GATE and before * surprise > 0.0 and abs(before) > STEP_GATE
+        sigmas = 0.0 if math.isnan(cell) else cell / cell_sigma[n]
+        before = x.tendon[s.CELL_INNOVATION_SIGMAS, n]
+        again = abs(sigmas) > STEP_GATE and before * sigmas > 0.0 and abs(before) > STEP_GATE
         jump = 0.0
         if again and x.tendon_int[s.REGIME, n] != SLACK:
             steady = 0.0
-            kind = x.tendon_int[s.KIND, n]
+            kind = x.tendon_int[s.FILTER_KIND, n]
             for i in range(STATES):
-                steady += c.design[n, kind, h.TENSION_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
-            # The steady gain follows below. Only the rest of the accepted fraction is added here.
+                steady += c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
+            # The correction by the gain is added below, so only the rest of STEP_FRACTION is added
+            # here.
             jump = max(STEP_FRACTION - steady, 0.0) * cell
-        if abs(surprise) > OUTLIER_GATE and not again:
+        if abs(sigmas) > OUTLIER_GATE and not again:
             innovation[n, 1] = math.nan
-        x.tendon[s.SURPRISE, n] = surprise
+        x.tendon[s.CELL_INNOVATION_SIGMAS, n] = sigmas
         for i in range(STATES):
             for m in range(3):
                 if not math.isnan(innovation[n, m]):
                     x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovation[n, m]
-        # More tension is a shorter excursion at the same travel.
-        x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.STIFFNESS, n]
+        # At equal travel, more tension is more stretch and less excursion.
+        x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.TENDON_STIFFNESS, n]
 
 
 @inner
 def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
-    """Move the excursions of slack tendons with the taut tendons of the same digit, for tendons in surplus.
+    """Move the excursion of each slack tendon with the other tendons of its digit, in digits with surplus tendons.
 
-    The excursions of a digit are R q. With one slack tendon the equation for it is exact. With
-    several, the ticks are the iterations of a Gauss-Seidel solution.
+    The excursions of a digit are R q. If one tendon is slack, its excursion follows from the
+    others. If several are slack, each tick is an iteration of a Gauss-Seidel solution.
     """
     for n in range(x.tendon.shape[1]):
-        if c.tendon_int[h.REDUNDANT, n] and x.tendon_int[s.REGIME, n] == SLACK:
+        if c.tendon_int[h.HAS_SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK:
             excursion = value_from_other_tendons(c, n, x.tendon[s.EXCURSION], c.tendon[h.EXPLAINED_OFFSET, n])
             rate = value_from_other_tendons(c, n, x.tendon[s.EXCURSION_RATE], 0.0)
             if not math.isnan(excursion):
@@ -245,7 +249,8 @@ def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
 def _normalised_innovation_squared(innovation: Vector, information: Vector, blind: bool) -> float:
     """Return the normalised innovation squared of encoder and load cell, NaN if either is missing.
 
-    Without load cell (``blind``) it is twice that of the encoder, so that 2 is right as well.
+    Without load cell (``blind``) it is twice the value of the encoder alone, so that its ideal mean
+    is 2 too.
     """
     if blind:
         return 2.0 * information[0] * innovation[0] * innovation[0]
@@ -258,8 +263,9 @@ def _normalised_innovation_squared(innovation: Vector, information: Vector, blin
 def _judge_consistency(x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool) -> None:
     """Average NIS, and judge the consistency of the model.
 
-    There are two averages. The slow average informs the operator. The fast average adapts the
-    filter's noise. It assumes the model without doubt, so added noise does not hide the cause.
+    There are two averages. The operator is informed by the slow average. Process noise is added by
+    the fast average. The fast average uses the covariance without added noise, because added noise
+    would hide an error of the model.
     """
     nominal = np.empty(3)
     for n in range(len(innovation)):
@@ -267,7 +273,7 @@ def _judge_consistency(x: Tables, c: ConstantTables, innovation: Matrix, informa
         nis = _normalised_innovation_squared(innovation[n], information[n], blind)
         x.tendon[s.NIS, n] = nis
         x.tendon[s.INNOVATION, n] = innovation[n, 1]
-        kind = x.tendon_int[s.KIND, n]
+        kind = x.tendon_int[s.FILTER_KIND, n]
         if kind >= 3 and not full:
             for i in range(3):
                 nominal[i] = c.design[n, kind - 3, h.INFORMATION_AT + i]
@@ -277,26 +283,26 @@ def _judge_consistency(x: Tables, c: ConstantTables, innovation: Matrix, informa
         nis = min(nis, MAX_NIS_SAMPLE)
         period = c.run[h.PERIOD]
         # First-order low-pass. The period is short against the averaging time.
-        x.tendon[s.NIS_MEAN, n] += period / DOUBT_S * (nis - x.tendon[s.NIS_MEAN, n])
-        if period <= ADAPTED_NOISE_PERIOD_S:
+        x.tendon[s.NIS_MEAN, n] += period / MEAN_NIS_S * (nis - x.tendon[s.NIS_MEAN, n])
+        if period <= ADDED_NOISE_MAX_PERIOD_S:
             x.tendon[s.NIS_FAST, n] += period / NOISE_NIS_S * (nis - x.tendon[s.NIS_FAST, n])
     for n in range(len(innovation)):
-        limit = DOUBT_BELOW if x.tendon_int[s.DOUBTFUL, n] else DOUBT_ABOVE
+        limit = CONSISTENT_NIS if x.tendon_int[s.DOUBTFUL, n] else INCONSISTENT_NIS
         doubtful = x.tendon[s.NIS_MEAN, n] > limit
         if doubtful != x.tendon_int[s.DOUBTFUL, n]:
-            x.run_int[s.CHANGED] = 1
+            x.run_int[s.CONSISTENCY_CHANGED] = 1
         x.tendon_int[s.DOUBTFUL, n] = doubtful
     _judge_noise(x, c)
 
 
 @inner
 def _judge_noise(x: Tables, c: ConstantTables) -> None:
-    """Decide by the last innovations which tendons need more process noise.
+    """Decide by the fast average of NIS which tendons get added process noise.
 
-    The doubt outlasts the cause: wrong friction is visible only during motion, and has most effect
-    at the next reversal.
+    The noise is kept for ``MAX_ADDED_NOISE_S``: wrong friction is visible only during motion, and
+    has the largest effect at the next reversal.
     """
-    if c.run[h.PERIOD] > ADAPTED_NOISE_PERIOD_S:
+    if c.run[h.PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
     total = 0.0
     count = x.tendon.shape[1]
@@ -304,25 +310,32 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
         total += x.tendon[s.NIS_FAST, n]
     limit = NOISE_NIS_LIMIT if total < NOISE_NIS_LIMIT_OF_HAND * count else 0.0
     for n in range(count):
-        left = max(x.tendon[s.WARY, n] - c.run[h.PERIOD], 0.0)
-        x.tendon[s.WARY, n] = ADAPTED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else left
+        left = max(x.tendon[s.ADDED_NOISE_S, n] - c.run[h.PERIOD], 0.0)
+        x.tendon[s.ADDED_NOISE_S, n] = MAX_ADDED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else left
 
 
 @inner
 def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the tension at the load cell by the state of the filter [N]. It may be negative."""
+    """Return the tension at the load cell, by the states of the filter [N]. It may be negative."""
     tension = 0.0
-    kind = x.tendon_int[s.KIND, n]
+    kind = x.tendon_int[s.FILTER_KIND, n]
     for i in range(STATES):
-        tension += c.design[n, kind, h.TENSION_AT + i] * x.tendon[s.TRAVEL + i, n]
+        tension += c.design[n, kind, h.TENSION_ROW_AT + i] * x.tendon[s.TRAVEL + i, n]
     return tension
 
 
 @inner
 def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) -> None:
-    """Write the joint angles (or rates) (J,) of excursions (or their rates) in a row, q = B R_r^+ s.
+    """Write the angles or rates of all joints (J,) for free digits, q = B R_r^+ s.
 
-    With varying moment arms this is the linear relation of ``structure``, which has an offset.
+    With varying moment arms this is the linear relation of ``structure``, in which angles have an
+    offset.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        row: row of the tendon table with s: ``EXCURSION`` for angles, ``EXCURSION_RATE`` for rates.
+        result: (J,) angles [rad] or rates [rad/s].
     """
     for j in range(len(result)):
         result[j] = c.joint[h.ANGLE_OFFSET, j] if row == s.EXCURSION else 0.0
@@ -334,10 +347,12 @@ def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) ->
 def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     """Return resistance, speed-signed pull and pull of all tendons, (3, N) [N].
 
-    Resistance is the tension in balance with springs and gravity. Without better knowledge,
-    friction has the direction of the tendon's speed at the spool. The digit's own speed, of a light
-    mass on a spring, is estimated too roughly: the sign would chatter. The speed-signed pull always
-    uses the speed at the spool, and is the first sign of a digit leaving a stop.
+    Resistance is the tension at the joints in balance with springs and gravity. Pull is the
+    estimated tension at the joints, less friction. The control law knows the development of
+    friction of moving tendons. Other tendons have friction in the direction of the speed at the
+    spool. The estimated speed of a digit is not used, because it is so rough that its sign would
+    chatter. The speed-signed pull always uses the speed at the spool, and is the first sign of a
+    digit that leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
@@ -371,19 +386,20 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
     for n in range(x.tendon.shape[1]):
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
-        # Only in slack: then the encoder alone tells how much tendon is left to wind in.
+        # In slack the encoder alone determines the length of tendon that is still to be wound.
         near = regime == SLACK and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
         blind = c.tendon_int[h.CELL_GROUP, n] < 0
-        points = x.tendon_int[s.TURNING, n]
+        points = x.tendon_int[s.REGIME_EVIDENCE, n]
         tension = filtered_tension(x, c, n)
         if blind:
-            # The force that a slack tendon's motor lacks is the tension of a tendon that has become taut.
+            # The model of a slack tendon has no tension. Once the tendon is taut, the disturbance
+            # is minus its tension.
             cell = -x.tendon[s.DISTURBANCE, n]
             points = regime_evidence_without_cell(regime, points, tension, cell)
         else:
             points = regime_evidence(regime, points, tension, cell, x.tendon[s.CELL_ERROR, n], near)
-        if c.tendon_int[h.PAIR, n]:
-            # The spool turns the joint both ways. One of the two tendons is always taut.
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+            # The spool turns the joint in both directions. One of the two tendons is always taut.
             points = 0
             regime = FREE
         elif is_regime_over(regime, points, blind):
@@ -392,38 +408,39 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
                 set_offset_of_newly_taut(x, c, n, cell)
                 x.tendon_int[s.LENGTH_KNOWN, n] = 1
             regime = FREE if regime == SLACK else SLACK
-        x.tendon_int[s.TURNING, n] = points
-        was = x.tendon_int[s.STOPPED, n] == 1
-        stopped = c.tendon_int[h.SPRUNG, n] == 1
+        x.tendon_int[s.REGIME_EVIDENCE, n] = points
+        was = x.tendon_int[s.ON_OPEN_STOP, n] == 1
+        stopped = c.tendon_int[h.HAS_RETURN_SPRINGS, n] == 1
         if stopped:
-            # The pull of a tendon that opens its digit has the sign of its excursion, minus.
-            side = c.tendon[h.SIDE, n]
+            # A tendon that opens its digit has a negative pull and a negative excursion here.
+            side = c.tendon[h.CLOSING_SIGN, n]
             opened = c.tendon[h.OPEN_EXCURSION, n]
             stopped = _is_at_stop(
                 was, side * (x.tendon[s.EXCURSION, n] - opened), side * force[1, n], side * force[0, n]
             )
-        x.tendon_int[s.STOPPED, n] = stopped
+        x.tendon_int[s.ON_OPEN_STOP, n] = stopped
         if regime != SLACK:
             if stopped and not was:
-                # It has come to rest on its open stop: its excursion is known, the rest was offset.
+                # The digit has come to rest on its open stop. Its excursion is then known, the
+                # difference is offset.
                 opened = c.tendon[h.OPEN_EXCURSION, n]
                 x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - opened
                 x.tendon[s.EXCURSION, n] = opened
                 x.tendon[s.EXCURSION_RATE, n] = 0.0
                 changed = True
-            regime = HELD if stopped or is_in_contact(x, c.tendon_int[h.DIGIT, n]) else FREE
+            regime = HELD if stopped or is_in_contact(x, c.tendon_int[h.DIGIT_OF_TENDON, n]) else FREE
         changed |= regime != x.tendon_int[s.REGIME, n]
         x.tendon_int[s.REGIME, n] = regime
     if changed:
         for n in range(x.tendon.shape[1]):
-            x.tendon_int[s.KIND, n] = filter_kind(x, n)
+            x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
         force = _load_forces(x, c)
     return force
 
 
 @inner
 def is_in_contact(x: Tables, d: int) -> bool:
-    """Return True if a digit is in contact: by the program under torque, or blocked."""
+    """Return True if a digit is blocked, or if the program knows a contact and torque may act."""
     acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
@@ -438,29 +455,29 @@ def _is_at_stop(was: bool, excursion: float, force: float, resistance: float) ->
 
 @inner
 def _choose_filter_kinds(x: Tables) -> None:
-    """Choose the design blocks for the prediction, by the judged regimes and doubts."""
+    """Choose the filter design of each tendon for the prediction."""
     for n in range(x.tendon.shape[1]):
-        x.tendon_int[s.KIND, n] = filter_kind(x, n)
+        x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
 
 
 @inner
 def _write_external_tension(x: Tables, c: ConstantTables, force: Matrix) -> None:
-    """Write the load force beyond the model, positive against closing, 0 in slack and on the open stop."""
+    """Write the unexplained load force of each tendon, positive against closing, 0 in slack and on the open stop."""
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.EXTERNAL, n] = 0.0
-        if x.tendon_int[s.REGIME, n] != SLACK and not x.tendon_int[s.STOPPED, n]:
+        x.tendon[s.EXTERNAL_TENSION, n] = 0.0
+        if x.tendon_int[s.REGIME, n] != SLACK and not x.tendon_int[s.ON_OPEN_STOP, n]:
             damping = c.tendon[h.LOAD_DAMPING, n] * x.tendon[s.EXCURSION_RATE, n]
-            # Sign: pull of the tendon minus requirement. An object that resists closing makes it positive.
-            x.tendon[s.EXTERNAL, n] = force[2, n] - force[0, n] - damping
+            # Pull minus resistance. An object that resists closing makes the difference positive.
+            x.tendon[s.EXTERNAL_TENSION, n] = force[2, n] - force[0, n] - damping
 
 
 @inner
 def write_unknown_estimate(x: Tables) -> None:
-    """Write an estimate without information, for the ticks before all sensors were read."""
+    """Write the estimate of the ticks before all sensors were read: no contact, no innovation."""
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.EXTERNAL, n] = 0.0
+        x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan
-        x.tendon_int[s.KIND, n] = filter_kind(x, n)
+        x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
 
 
 @inner
@@ -469,9 +486,9 @@ def derive_estimate(x: Tables, c: ConstantTables) -> None:
     for n in range(x.tendon.shape[1]):
         tension = filtered_tension(x, c, n)
         # A single tendon cannot push.
-        x.tendon[s.TENSION, n] = tension if c.tendon_int[h.PAIR, n] else max(tension, 0.0)
-        x.tendon[s.SIGMA, n] = math.sqrt(c.design[n, x.tendon_int[s.KIND, n], h.VARIANCE_AT])
-        if x.run_int[s.CARRIED]:
-            x.tendon[s.SIGMA, n] = carried.predicted_tension_sigma(x, c, n)
+        x.tendon[s.TENSION, n] = tension if c.tendon_int[h.IS_SPOOL_PAIR, n] else max(tension, 0.0)
+        x.tendon[s.TENSION_SIGMA, n] = math.sqrt(c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_AT])
+        if x.run_int[s.COVARIANCE_PROPAGATED]:
+            x.tendon[s.TENSION_SIGMA, n] = covariance.predicted_tension_sigma(x, c, n)
     write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
     write_free_angles(x, c, s.EXCURSION_RATE, x.joint[s.DQ])

@@ -1,4 +1,4 @@
-"""Measurements of a tick from the received values, with rejection of impossible positions."""
+"""Conversion of received values into the measurements of a tick, and rejection of impossible positions."""
 
 import math
 
@@ -16,20 +16,20 @@ from handctl.core.estimation.structure import carrier_excursion, joint_excursion
 
 @inner
 def write_measurements(x: Tables, c: ConstantTables) -> None:
-    """Write the new values of the tick, NaN for all others."""
+    """Write the values received in the tick, and NaN for missing values."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
-        if x.tendon_int[s.ANSWERED, n] > 0:
-            x.tendon[s.MEASURED_POSITION, n] = x.tendon[s.POSITION, n] - c.tendon[h.ZERO, n]
+        if x.tendon_int[s.FEEDBACKS_NOW, n] > 0:
+            x.tendon[s.MEASURED_POSITION, n] = x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]
         x.tendon[s.MEASURED_TENSION, n] = math.nan
         x.tendon_int[s.SATURATED, n] = 0
         if x.tendon_int[s.CELL_FRESH, n]:
-            cell = x.tendon[s.CELL, n]
+            cell = x.tendon[s.CELL_READING, n]
             saturated = not c.run[h.CELL_LOW] < cell < c.run[h.CELL_HIGH]
             if saturated:
-                # The code of an amplifier for an overload may be NaN, or a number far outside of the range.
+                # For an overload an amplifier may send NaN, or a number far outside of the range.
                 cell = c.run[h.CELL_HIGH] if cell >= c.run[h.CELL_HIGH] else c.run[h.CELL_LOW]
-            x.tendon[s.MEASURED_TENSION, n] = cell - (c.tendon[h.TARE, n] + x.tendon[s.PROGRAM_TARE, n])
+            x.tendon[s.MEASURED_TENSION, n] = cell - (c.tendon[h.CELL_TARE, n] + x.tendon[s.PROGRAM_TARE, n])
             x.tendon_int[s.SATURATED, n] = saturated
     x.run_int[s.JOINTS_READ] = 0
     for j in range(x.joint.shape[1]):
@@ -46,18 +46,18 @@ def reject_outliers(x: Tables, c: ConstantTables, missed: int) -> None:
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. Motion went on meanwhile, and the reading may
-            reply to an older request.
+        missed: ticks missed before the present tick. The motion continued in these ticks, and the
+            reading may be the reply to an older request.
     """
     for n in range(x.tendon.shape[1]):
         _reject_outlier(
-            x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED, s.ACCEPTED_GAP, s.JUMP, s.DROPPED,
-            c.tendon[h.STEP_LIMIT, n], missed,
+            x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED_POSITION, s.ACCEPTED_GAP, s.REJECTED_STEP,
+            s.REJECTED_POSITIONS, c.tendon[h.STEP_LIMIT, n], missed,
         )  # fmt: skip
     for j in range(x.joint.shape[1]):
         _reject_outlier(
-            x.joint, j, s.MEASURED_JOINT, s.JOINT_ACCEPTED, s.JOINT_GAP, s.JOINT_JUMP, s.JOINT_DROPPED,
-            c.joint[h.JOINT_STEP_LIMIT, j], missed,
+            x.joint, j, s.MEASURED_JOINT, s.ACCEPTED_JOINT_ANGLE, s.ACCEPTED_JOINT_GAP, s.REJECTED_JOINT_STEP,
+            s.REJECTED_JOINT_ANGLES, c.joint[h.JOINT_STEP_LIMIT, j], missed,
         )  # fmt: skip
 
 
@@ -76,15 +76,16 @@ def _reject_outlier(
     """Reject a position too far from the last accepted position.
 
     Args:
-        table: of the position, (rows, n).
-        i: column of the position.
-        measured: row of the measurement.
+        table: table of the position, (rows, n).
+        i: column of the position in the table.
+        measured: row of the measured position.
         accepted: row of the last accepted position.
-        gap_row: row of the ticks since then.
+        gap_row: row of the number of ticks before the last tick at which that position may have
+            been measured.
         jump: row of the rejected step.
-        dropped: row of the rejections in a row.
+        dropped: row of the number of rejections in a row.
         limit: largest step in a period [rad].
-        missed: as in ``reject_outliers``.
+        missed: see ``reject_outliers``.
     """
     value = table[measured, i]
     # A comparison with NaN is False: without a value or an accepted position no step is rejected.
@@ -103,28 +104,29 @@ def _reject_outlier(
 
 
 @inner
-def mark_unscreened(x: Tables) -> None:
-    """Mark all positions as not judged, because no torque acts."""
+def clear_rejected_steps(x: Tables) -> None:
+    """Write that no position was rejected. Positions are not tested while no torque acts."""
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.JUMP, n] = 0.0
+        x.tendon[s.REJECTED_STEP, n] = 0.0
     for j in range(x.joint.shape[1]):
-        x.joint[s.JOINT_JUMP, j] = 0.0
+        x.joint[s.REJECTED_JOINT_STEP, j] = 0.0
 
 
 @inner
 def convert_positions(x: Tables, c: ConstantTables) -> None:
     """Write travel, motor force and excursion from the accepted positions."""
     for n in range(x.tendon.shape[1]):
-        spool = c.tendon[h.SPOOL, n]
+        spool = c.tendon[h.SPOOL_RADIUS, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
-        if c.run_int[h.HAND_PASSED]:
-            # The estimate of the last tick is for the time of this measurement.
+        if c.run_int[h.HAS_CARRIER_ARMS]:
+            # The last tick predicted its estimate to the time of this measurement.
             x.tendon[s.MEASURED_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
-        # A drive reports the torque that it believes to make, as it was told. Its motor makes ``TORQUE_GAIN`` of it.
-        made = x.tendon[s.REPORTED, n] * c.tendon[h.TORQUE_GAIN, n]
+        # A drive reports the torque of an ideal motor. Its motor makes this torque times
+        # ``TORQUE_GAIN``.
+        made = x.tendon[s.REPORTED_TORQUE, n] * c.tendon[h.TORQUE_GAIN, n]
         x.tendon[s.MEASURED_FORCE, n] = made / spool if valid else math.nan
-        d = c.tendon_int[h.DIGIT, n]
+        d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         excursion = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
@@ -134,7 +136,7 @@ def convert_positions(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> float:
-    """Return the tension of a tendon for detectors: the load cell, or the estimate of a tendon without [N].
+    """Return the tension of a tendon for detectors: the load-cell reading, or without load cell the estimate [N].
 
     Args:
         x: state tables.
@@ -149,7 +151,7 @@ def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> floa
 
 @inner
 def start_filter(x: Tables, c: ConstantTables) -> None:
-    """Start the tension filter after the first reading of all encoders and load cells: hand open, tendons slack."""
+    """Start the tension filter once all encoders and load cells were read, with the hand open and its tendons slack."""
     for n in range(x.tendon.shape[1]):
         group = c.tendon_int[h.CELL_GROUP, n]
         if (group >= 0 and x.group_int[s.GROUP_FRAMES, group] == 0) or math.isnan(x.tendon[s.POSITION, n]):
@@ -158,12 +160,12 @@ def start_filter(x: Tables, c: ConstantTables) -> None:
         for state in range(7):
             x.tendon[s.TRAVEL + state, n] = 0.0
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
-        x.tendon_int[s.STOPPED, n] = c.tendon_int[h.SPRUNG, n]
-        x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.ZERO, n]) * c.tendon[h.SPOOL, n]
-        if c.run_int[h.HAND_PASSED]:
+        x.tendon_int[s.ON_OPEN_STOP, n] = c.tendon_int[h.HAS_RETURN_SPRINGS, n]
+        x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]) * c.tendon[h.SPOOL_RADIUS, n]
+        if c.run_int[h.HAS_CARRIER_ARMS]:
             # Carriers come before the digits that they carry.
             write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
             x.tendon[s.TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
-        if c.tendon_int[h.PAIR, n]:
-            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # the spool holds the joint, without net tension
-    x.run_int[s.STARTED] = 1
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # zero net tension: no stretch
+    x.run_int[s.FILTER_STARTED] = 1

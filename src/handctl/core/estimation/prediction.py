@@ -13,19 +13,19 @@ with deferred_imports():
 
 
 def predict_filter_states(model: HandModel, layout: Layout, block: Block, missed: int = 0) -> None:
-    """Predict the states of all tendons. Missed ticks had no planned motion.
+    """Predict the states of all tendons to the next tick. In missed ticks the force was constant, without a plan.
 
     Args:
-        model: the hand.
-        layout: of the block.
-        block: the state, modified in place.
+        model: model of the hand.
+        layout: layout of the state block.
+        block: state block, modified in place.
         missed: ticks missed before the present tick.
     """
     n = model.tendon_count
     first = layout.start("tendon")
     states = block[first : first + 7 * n]
     inputs = block[first + 7 * n : first + 9 * n]
-    F, B = model.filter.transition(layout.table(block, "tendon_int")[s.KIND].tobytes())
+    F, B = model.filter.transition(layout.table(block, "tendon_int")[s.FILTER_KIND].tobytes())
     x = predict_steadystate(states, F, inputs, B)
     if missed:
         held = np.concatenate((inputs[:n], np.zeros(n)))

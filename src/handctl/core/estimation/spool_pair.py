@@ -1,13 +1,14 @@
 """Net tension of a spool pair: two antagonistic tendons on one spool, wound in opposite directions.
 
-A spool that turns winds one tendon and pays out the other by the same length. With the pretension p
-and the stiffness k of each tendon, the tensions are p + k dl and p - k dl, never below 0, and the
-net tension u of the pair is their difference. While both are taut u = 2 k dl. Beyond |u| = 2 p the
-other tendon is slack, and the pulling one bears all of u. In one formula the first tendon has
-max(p + u / 2, u, 0), and the second the same of -u.
+A spool that turns winds one tendon and pays out the other by an equal length. With the pretension p
+and the stiffness k of each tendon, the tensions are p + k dl and p - k dl, never below 0. The net
+tension u of the pair is their difference. While both tendons are taut u = 2 k dl. Beyond |u| = 2 p
+one tendon is slack, and the other bears all of u. In one formula the first tendon has the tension
+max(p + u / 2, u, 0), and the second has max(p - u / 2, -u, 0).
 
-Friction lowers the tension of the tendon that winds, and raises that of the tendon that pays out.
-Both tendons lose, so a pair without net tension has friction by its pretension.
+Friction lowers the tension behind the pulleys of the tendon that winds, and raises it for the
+tendon that pays out. Both effects resist the motion, so a pair without net tension has friction by
+its pretension.
 """
 
 from handctl.compiled import inner
@@ -15,13 +16,13 @@ from handctl.compiled import inner
 
 @inner
 def net_tension_at_joint(net: float, pretension: float, passed: float) -> float:
-    """Return the net tension at a joint behind friction [N].
+    """Return the net tension at a joint, less the friction of the pulleys [N].
 
     Args:
         net: net tension at the spool [N].
-        pretension: of both tendons [N].
-        passed: fraction of the first tendon's tension behind the pulleys. The other tendon moves the
-            other way, and has the reciprocal.
+        pretension: pretension of both tendons [N].
+        passed: tension of the first tendon behind the pulleys, as a fraction of that at the spool.
+            The second tendon moves in the opposite direction, and has the reciprocal.
 
     Source: capstan equation.
     """

@@ -1,4 +1,4 @@
-"""Known forces along the tendons: requirement of springs and gravity, and tension after friction."""
+"""Known forces along the tendons: torques of springs and gravity, and tensions less pulley friction."""
 
 import math
 
@@ -17,14 +17,14 @@ Matrix = NDArray[np.float64]
 
 @inner
 def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
-    """Return the poses (J, rigid_body.POSE) of all links at joint angles q (J,) [rad], without carried masses."""
+    """Return the poses of all links at joint angles q (J,) [rad], (J, rigid_body.POSE), without carried masses."""
     pose = np.empty((len(q), rigid_body.POSE))
-    rigid_body.write_link_poses(c.joint, h.LINK, c.joint_int[h.PARENT], q, pose)
+    rigid_body.write_link_poses(c.joint, h.LINK_TABLE, c.joint_int[h.PARENT_JOINT], q, pose)
     return pose
 
 
 MAX_OWN_FRACTION = 0.999
-"""Largest fraction of a tendon's value that only the tendon itself tells. Above, no other tendon tells it."""
+"""Diagonal element of R R^+ above which a tendon's value does not follow from the other tendons of its digit."""
 
 
 @inner
@@ -34,27 +34,29 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
     A link's weight acts on the link's joint and on all joints towards the palm.
     """
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
-    rigid_body.write_weight_torques(c.joint, h.LINK, c.joint_int[h.PARENT], gravity, link_poses_of_hand(c, q), torque)
+    rigid_body.write_weight_torques(
+        c.joint, h.LINK_TABLE, c.joint_int[h.PARENT_JOINT], gravity, link_poses_of_hand(c, q), torque
+    )
     for j in range(len(q)):
-        torque[j] += c.joint[h.SPRING, j] * (q[j] + c.joint[h.PRELOAD, j])
+        torque[j] += c.joint[h.SPRING_STIFFNESS, j] * (q[j] + c.joint[h.SPRING_PRELOAD, j])
 
 
 @inner
 def pulley_torque(c: ConstantTables, n: int, arm: float, tension: float, developed: float, wrapped: float) -> float:
-    """Return the torque of tendon n at the joint of a pulley, friction subtracted [N m].
+    """Return the torque of tendon n at the joint of a pulley, less friction [N m].
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
         arm: moment arm about the joint [m].
-        tension: at the load cell, net for a spool pair [N].
+        tension: tension at the load cell, the net tension for a spool pair [N].
         developed: development of friction, 1 winding, -1 paying out.
         wrapped: wrap angle up to the pulley [rad].
 
     Source: capstan equation.
     """
-    passed = math.exp(-c.tendon[h.CAPSTAN, n] * developed * wrapped)
-    if c.tendon_int[h.PAIR, n]:
+    passed = math.exp(-c.tendon[h.CAPSTAN_COEFFICIENT, n] * developed * wrapped)
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         return arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed)
     return arm * tension * passed
 
@@ -63,17 +65,20 @@ def pulley_torque(c: ConstantTables, n: int, arm: float, tension: float, develop
 def subtract_passing_torque(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, torque: Vector) -> None:
     """Subtract the torques of passing tendons from the joint torques (J,) that the carriers' own tendons must make.
 
+    A passing tendon is a tendon of a digit that passes a joint of the digit's carrier, for example
+    the wrist.
+
     Args:
         c: constants of the hand.
         q: (J,) joint angles [rad].
-        tension: (N,) at the load cells [N].
+        tension: (N,) tensions at the load cells [N].
         developed: (N,) development of friction, 1 winding, -1 paying out.
-        torque: (J,) modified in place [N m].
+        torque: (J,) joint torques, modified in place [N m].
     """
-    if not c.run_int[h.HAND_PASSED]:
+    if not c.run_int[h.HAS_CARRIER_ARMS]:
         return
     for n in range(len(tension)):
-        wrapped = c.tendon[h.WRAP, n]
+        wrapped = c.tendon[h.WRAP_ANGLE, n]
         for j in range(len(q)):
             arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
             if arm != 0.0:
@@ -90,8 +95,8 @@ def first_wrap(c: ConstantTables, n: int, q: Vector) -> float:
         n: index of the tendon.
         q: (J,) joint angles [rad].
     """
-    wrapped = c.tendon[h.WRAP, n]
-    if c.run_int[h.HAND_PASSED]:
+    wrapped = c.tendon[h.WRAP_ANGLE, n]
+    if c.run_int[h.HAS_CARRIER_ARMS]:
         for j in range(len(q)):
             if c.tendon_joint[h.CARRIER_ARMS, n, j] != 0.0:
                 wrapped += q[j]
@@ -100,10 +105,10 @@ def first_wrap(c: ConstantTables, n: int, q: Vector) -> float:
 
 @inner
 def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> None:
-    """Write the levers (J,) [m] of a force at a digit's tip about its joints, see ``rigid_body.write_levers``."""
+    """Write the levers about the joints of a digit (J,) of a force at its tip [m], see ``rigid_body.write_levers``."""
     last = c.digit_int[h.JOINTS_END, d] - 1
     rigid_body.write_levers(
-        pose, c.digit_int[h.JOINTS_FIRST, d], last, c.joint[h.LINK + rigid_body.LENGTH, last], lever
+        pose, c.digit_int[h.JOINTS_FIRST, d], last, c.joint[h.LINK_TABLE + rigid_body.LENGTH, last], lever
     )
 
 
@@ -111,7 +116,7 @@ def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> 
 def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector) -> None:
     """Write the smallest tensions (N,) [N] for joint torques (J,) [N m]."""
     for n in range(len(tension)):
-        d = c.tendon_int[h.DIGIT, n]
+        d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         tension[n] = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             tension[n] += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * torque[j]
@@ -119,12 +124,12 @@ def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector
 
 @inner
 def write_tensions_at_joints(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, result: Vector) -> None:
-    """Write the tensions at the joints, friction subtracted, with the torques of tensions at the load cells.
+    """Write the tensions at the joints, less friction: those that make the torques of the tensions at the load cells.
 
     Args:
         c: constants of the hand.
         q: (J,) joint angles [rad].
-        tension: (N,) at the load cells [N].
+        tension: (N,) tensions at the load cells [N].
         developed: (N,) development of friction, 1 winding, -1 paying out.
         result: (N,) tensions at the joints [N].
 
@@ -132,7 +137,7 @@ def write_tensions_at_joints(c: ConstantTables, q: Vector, tension: Vector, deve
     """
     torque = np.zeros(len(q))
     for n in range(len(tension)):
-        d = c.tendon_int[h.DIGIT, n]
+        d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         wrapped = first_wrap(c, n, q)
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
@@ -149,9 +154,10 @@ def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        values: (N,) values along all tendons. Excursions with varying moment arms have an offset.
+        values: (N,) values v along all tendons. For excursions add ``EXPLAINED_OFFSET`` to the
+            result.
     """
-    d = c.tendon_int[h.DIGIT, n]
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     total = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         angle = 0.0
@@ -163,18 +169,18 @@ def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float
 
 @inner
 def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: float) -> float:
-    """Return the value of tendon n that follows from the other tendons of the digit, NaN if none follows.
+    """Return the value of tendon n that follows from the other tendons of the digit, NaN if it does not follow.
 
-    The values of a digit are R q. The equation for one tendon is solved with the values of the
-    others, which are enough in a digit with more tendons than coordinates.
+    The values of a digit are R q. In a digit with more tendons than coordinates, the values of the
+    other tendons determine q, and so the value of tendon n.
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
         values: (N,) values along all tendons, for example excursions [m].
-        offset: value of the tendon beyond R q: ``EXPLAINED_OFFSET`` for excursions, 0 for their rates.
+        offset: ``EXPLAINED_OFFSET`` for excursions, 0 for their rates.
     """
-    d = c.tendon_int[h.DIGIT, n]
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     own = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         own += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
@@ -185,21 +191,23 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: 
 
 @inner
 def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
-    """Return the fraction of a tendon's load-cell tension at the joints while winding.
+    """Return the tension at the joints of a winding tendon, as a fraction of the tension at the load cell.
 
-    The mean over the pulleys, weighted by moment arms. The fraction while paying out is about the
-    reciprocal.
+    The fraction is the mean over the pulleys, weighted by moment arms. While the tendon pays out,
+    the fraction is about the reciprocal.
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
         q: (J,) joint angles [rad].
     """
-    d = c.tendon_int[h.DIGIT, n]
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     wrapped = first_wrap(c, n, q)
     efficiency = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
             wrapped += q[j]
-            efficiency += c.tendon_joint[h.PULLEY_WEIGHT, n, j] * math.exp(-c.tendon[h.CAPSTAN, n] * wrapped)
+            efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * math.exp(
+                -c.tendon[h.CAPSTAN_COEFFICIENT, n] * wrapped
+            )
     return efficiency

@@ -1,16 +1,18 @@
 """Moment arms that depend on the joint angles, and the structure tables at the present angles.
 
-Filter, law and allocation are linear in the excursions: q = B (R B)^+ s. For a digit with varying arms
-the tables of ``constants`` that depend on R are those at the angles of the free digit, q0 = B theta with
-e(q0) = s. Around q0 the excursion is e(q0) + R (q - q0), so that linear relations have an offset. With
-constant arms the offsets are 0 and the tables stay as they are. The tables follow from the state alone:
-they are evaluated before each use in a tick, so that a tick from a stored state gives the same result.
+Filter, control law and allocation use the linear relation q = B (R B)^+ s of joint angles q and
+excursions s. For a digit with varying arms, the tables of ``constants`` that depend on R are
+evaluated at the angles of the free digit: q0 = B theta with e(q0) = s. Around q0 the excursion is
+e(q0) + R (q - q0), so that linear relations have an offset. With constant arms the offsets are 0
+and the tables do not change. The tables depend on the state block only. They are evaluated before
+each use in a tick, so that a tick computed again from a stored state gives the same result.
 
-Tendons of a finger pass the wrist that carries it. Where they do not pass it in its axis, the wrist winds them up and
-they turn the wrist. Both are known, from the estimate of the wrist's angle and from the tension. The travel of such a
-tendon is counted without the part of its carriers (``carrier_excursion``). Filter, goals and detectors of its digit are
-then those of a digit on a base at rest. The tendons of the wrist bear the torque of the tendons that pass it
-(``statics.subtract_passing_torque``).
+Tendons of a finger pass the wrist that carries the finger. A tendon that does not pass through the
+wrist's axis is wound by the wrist's motion, and turns the wrist. Both effects are known from the
+estimated angle of the wrist and from the tension. The travel of such a tendon is counted without
+the part of its carriers (``carrier_excursion``). Filter, goals and detectors then treat its digit
+as a digit on a base at rest. The tendons of the wrist bear the torque of the tendons that pass the
+wrist (``statics.subtract_passing_torque``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
 """
@@ -32,23 +34,23 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 NEWTON_STEPS = 8
-"""Largest number of Newton steps in a tick. One or two are used."""
-NEWTON_ENOUGH_RAD = 1e-6
-"""Size of the last Newton step [rad]. The error of the linear relations is of the order of its square."""
+"""Largest number of Newton steps in a tick. One or two are usual."""
+NEWTON_TOLERANCE_RAD = 1e-6
+"""Newton step below which the iteration ends [rad]. The remaining error is of the order of the step squared."""
 MIN_SPRING_STIFFNESS = 1e-3
-"""Smallest spring stiffness in the null space [N m/rad]. Softer deviations are limited by the joints' ranges."""
-SINGULAR = 1e-9
-"""Regularisation of dependent rows of R, as a fraction of the mean diagonal element."""
-BALANCE_LEAST = 0.05
+"""Smallest spring stiffness used in the null space [N m/rad]. With softer springs the joints' ranges limit the turn."""
+REGULARISATION_FRACTION = 1e-9
+"""Regularisation for dependent rows of R, as a fraction of the mean diagonal element."""
+MIN_BALANCE_FRACTION = 0.05
 """Smallest balance of a tendon, as a fraction of the balance with mean arms."""
 
 
 @inner
 def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the moment arm of tendon n at an angle of joint j [m]."""
-    if not c.tendon_int[h.VARYING, n]:
+    if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j]
-    held = min(max(q, c.joint[h.LOW, j]), c.joint[h.HIGH, j])
+    held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
     value = 0.0
     for order in range(COEFFICIENTS - 1, -1, -1):
         value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j]
@@ -57,10 +59,10 @@ def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @inner
 def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
-    """Return the excursion of tendon n by an angle of joint j: the integral of the moment arm [m]."""
-    if not c.tendon_int[h.VARYING, n]:
+    """Return the part of tendon n's excursion by the angle of joint j: the integral of the moment arm [m]."""
+    if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j] * q
-    held = min(max(q, c.joint[h.LOW, j]), c.joint[h.HIGH, j])
+    held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
     value = 0.0
     for order in range(COEFFICIENTS - 1, -1, -1):
         value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] / (order + 1.0)
@@ -69,12 +71,13 @@ def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @inner
 def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
-    """Return the excursion of tendon n by its carriers' joints, or its rate [m, m/s].
+    """Return the part of tendon n's excursion by the joints of its carriers [m], or the rate of this part [m/s].
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        values: (J,) angles or rates of the joints [rad, rad/s]. A joint of unknown angle (NaN) counts as 0.
+        values: (J,) angles [rad] or rates [rad/s] of the joints. An unknown value (NaN) counts as
+            0.
     """
     total = 0.0
     for j in range(len(values)):
@@ -86,17 +89,17 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
 
 @inner
 def motor_speed(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the speed of a tendon at its spool [m/s]: that of its digit, and that of its carriers."""
+    """Return the speed of a tendon at its spool [m/s], the motion of its digit's carriers included."""
     speed = x.tendon[s.SPEED, n]
-    if c.run_int[h.HAND_PASSED]:
+    if c.run_int[h.HAS_CARRIER_ARMS]:
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     return speed
 
 
 @inner
 def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
-    """Return the derivative of the moment arm of tendon n by an angle of joint j [m/rad]."""
-    if not c.tendon_int[h.VARYING, n] or q < c.joint[h.LOW, j] or q > c.joint[h.HIGH, j]:
+    """Return the derivative of the moment arm of tendon n by the angle of joint j [m/rad]."""
+    if not c.tendon_int[h.HAS_VARYING_ARM, n] or q < c.joint[h.JOINT_MIN, j] or q > c.joint[h.JOINT_MAX, j]:
         return 0.0
     value = 0.0
     for order in range(COEFFICIENTS - 1, 0, -1):
@@ -114,7 +117,7 @@ def update_structure(x: Tables, c: ConstantTables) -> None:
         first = c.digit_int[h.JOINTS_FIRST, d]
         end = c.digit_int[h.JOINTS_END, d]
         for j in range(first, end):
-            q[j] = c.joint[h.LOW, j] if math.isnan(x.joint[s.Q, j]) else x.joint[s.Q, j]
+            q[j] = c.joint[h.JOINT_MIN, j] if math.isnan(x.joint[s.Q, j]) else x.joint[s.Q, j]
         for _ in range(NEWTON_STEPS):
             _write_structure(c, d, q)
             change = 0.0
@@ -124,7 +127,7 @@ def update_structure(x: Tables, c: ConstantTables) -> None:
                     angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[s.EXCURSION, n]
                 change = max(change, abs(angle - q[j]))
                 q[j] = angle
-            if change < NEWTON_ENOUGH_RAD:
+            if change < NEWTON_TOLERANCE_RAD:
                 break
         _write_weights(c, d)
         if c.joint_joint[h.COMPLIANCE, first, first] > 0.0:
@@ -133,7 +136,7 @@ def update_structure(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def keep_excursion(x: Tables, c: ConstantTables) -> None:
-    """Correct the joint angles of digits with varying arms: a turn in the null space of R keeps the excursion."""
+    """Correct the joint angles of digits with varying arms, so that they have the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_VARYING, d]:
             continue
@@ -156,7 +159,7 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
     first = c.digit_int[h.COORDINATES_FIRST, d]
     count = c.digit_int[h.COORDINATES_END, d] - first
     gram = np.zeros((count, count))
-    rest = np.zeros(tendons[1] - tendons[0])  # excursion less R q
+    rest = np.zeros(tendons[1] - tendons[0])  # excursion minus R q
     for n in range(tendons[0], tendons[1]):
         for j in range(joints[0], joints[1]):
             arm = moment_arm(c, n, j, q[j])
@@ -190,22 +193,22 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
 
 @inner
 def _write_weights(c: ConstantTables, d: int) -> None:
-    """Write pulley weights, torques of the posture, and balance of a digit from its R."""
+    """Write pulley weights, ``POSTURE_TORQUE`` and balance of a digit, from its present R."""
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
         total = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             total += abs(c.tendon_joint[h.MOMENT_ARMS, n, j])
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-            c.tendon_joint[h.PULLEY_WEIGHT, n, j] = abs(c.tendon_joint[h.MOMENT_ARMS, n, j]) / total
+            c.tendon_joint[h.PULLEY_WEIGHTS, n, j] = abs(c.tendon_joint[h.MOMENT_ARMS, n, j]) / total
             torque = 0.0
             for i in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-                torque += c.joint_joint[h.SPREAD, j, i] * c.tendon_joint[h.MOMENT_ARMS, n, i]
+                torque += c.joint_joint[h.COORDINATE_PROJECTION, j, i] * c.tendon_joint[h.MOMENT_ARMS, n, i]
             c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
         mean = c.tendon[h.MEAN_BALANCE, n]
-        if c.tendon_int[h.REDUNDANT, n] and mean > 0.0:
+        if c.tendon_int[h.HAS_SURPLUS, n] and mean > 0.0:
             # The part of the balance that makes no torque with the present arms.
             balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
-            c.tendon[h.BALANCE, n] = c.tendon[h.RELAXED, n] = max(balance, BALANCE_LEAST * mean)
+            c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(balance, MIN_BALANCE_FRACTION * mean)
 
 
 @inner
@@ -217,7 +220,7 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
     stiff = np.zeros((count, count))
     soft = np.empty(joints[1])
     for j in range(joints[0], joints[1]):
-        soft[j] = 1.0 / max(c.joint[h.SPRING, j], MIN_SPRING_STIFFNESS)
+        soft[j] = 1.0 / max(c.joint[h.SPRING_STIFFNESS, j], MIN_SPRING_STIFFNESS)
         for a in range(count):
             for b in range(count):
                 product = c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, j] * soft[j]
@@ -226,7 +229,7 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
     for a in range(count):
         trace += stiff[a, a]
     for a in range(count):
-        stiff[a, a] += SINGULAR * trace / count
+        stiff[a, a] += REGULARISATION_FRACTION * trace / count
     _invert(stiff)
     for i in range(joints[0], joints[1]):
         for j in range(joints[0], joints[1]):

@@ -1,4 +1,4 @@
-"""Transitions of a tendon between slack and taut, by the load cell over consecutive ticks."""
+"""Transitions of a tendon between slack and taut, by the load-cell readings of several ticks."""
 
 import math
 
@@ -10,7 +10,10 @@ from handctl.core.constants import ConstantTables
 
 SLACK = 2
 SLACK_BELOW_N = 1.0
-"""Limit of estimated and measured tension in slack: two standard deviations of the load cell [N]."""
+"""Tension below which a tendon may be slack, for the estimate and for the load cell [N].
+
+It is two standard deviations of the load cell.
+"""
 SLACK_TICKS = 3
 """Consecutive ticks below ``SLACK_BELOW_N`` before a tendon counts as slack."""
 TAUT_ABOVE_N = 2.5
@@ -19,39 +22,40 @@ LIKELY_ABOVE_N = 1.5
 POINTS_LIKELY = 2
 POSSIBLE_ABOVE_N = 1.0
 POINTS_POSSIBLE = 1
-"""Points towards a taut tendon for a load-cell sample above each tension.
+"""Tensions [N], and the points that a load-cell sample above each tension adds. Points are evidence of a taut tendon.
 
-A sample below all of them subtracts ``POINTS_AGAINST``.
-A sample above the first (five standard deviations) ends slack at once.
+A sample below all three tensions subtracts ``POINTS_AGAINST``.
+A sample above the first tension (five standard deviations) ends slack at once.
 """
 POINTS_AGAINST, POINTS_OF_TAUT = 2, 6
-"""Points subtracted per sample, and points of a taut tendon.
+"""Points that a low sample subtracts, and points from which a tendon counts as taut.
 
-Noise of 0.5 N alone hardly ever reaches the points, nor does a cell with a drift below 1 N.
+Noise of 0.5 N alone almost never reaches these points. A drift of the load cell below 1 N does not
+reach them.
 """
-NEAR_M, NEAR_FACTOR = 5e-5, 3
-"""Slack length of a nearly taut tendon, by the encoder [m], and factor on the points then.
+NEARLY_TAUT_M, NEARLY_TAUT_FACTOR = 5e-5, 3
+"""Slack length of a nearly taut tendon, by the encoder [m], and the factor on its points.
 
-A sample of three standard deviations ends slack at once then. Stops and friction leave the length
-uncertain by about as much.
+With this factor a sample of three standard deviations ends slack at once. The slack length is
+uncertain by about 50 um, because of stops and friction.
 """
 
 RANGE_MARGIN_M = 1e-3
-"""Margin of a newly taut tendon's excursion by its length [m]. Beyond the joints' range the length is not known."""
+"""Margin beyond the joints' range within which the excursion of a newly taut tendon is accepted [m]."""
 
 
 @inner
 def regime_evidence(regime: int, points: int, tension: float, cell: float, error: float, near: bool) -> int:
-    """Return the evidence that a slack tendon becomes taut (in points), or a taut one slack (in consecutive ticks).
+    """Return the evidence that a regime ends: points for a slack tendon, or ticks in a row for a taut tendon.
 
-    A missing sample resets the ticks, and keeps the points.
+    A missing sample sets the ticks to 0, and does not change the points.
 
     Args:
-        regime: of the tendon.
-        points: so far.
-        tension: estimated [N].
-        cell: load cell [N].
-        error: known error of the load cell [N].
+        regime: regime of the tendon.
+        points: evidence before this tick.
+        tension: estimated tension [N].
+        cell: load-cell reading [N].
+        error: estimated error of the load cell [N].
         near: True if the spool has wound up the slack length.
     """
     if regime != SLACK:
@@ -66,27 +70,28 @@ def regime_evidence(regime: int, points: int, tension: float, cell: float, error
     elif cell - error > POSSIBLE_ABOVE_N:
         evidence = POINTS_POSSIBLE
     if evidence > 0 and near:
-        evidence *= NEAR_FACTOR
+        evidence *= NEARLY_TAUT_FACTOR
     return max(points + evidence, 0)
 
 
 TAUT_WITHOUT_CELL_N = 2.5
-"""Force missing at the motor of a slack tendon without load cell that counts as tension [N]."""
+"""Force missing at the motor of a slack tendon without load cell above which it counts as tension [N]."""
 SLACK_TICKS_WITHOUT_CELL = 12
-"""Ticks in a row of slack by the estimate alone."""
+"""Ticks in a row with low estimated tension before a tendon without load cell counts as slack."""
 
 
 @inner
 def regime_evidence_without_cell(regime: int, points: int, tension: float, missing: float) -> int:
     """Return the evidence of a tendon without load cell, see ``regime_evidence``.
 
-    The motor of a slack tendon runs alone. Once the tendon is taut the motor lacks its tension.
+    The motor of a slack tendon turns without load. Once the tendon is taut, its tension is missing
+    at the motor.
 
     Args:
-        regime: of the tendon.
-        points: so far.
-        tension: estimated [N].
-        missing: force that the motor lacks [N].
+        regime: regime of the tendon.
+        points: evidence before this tick.
+        tension: estimated tension [N].
+        missing: force that is missing at the motor, by the model of a slack tendon [N].
     """
     if regime != SLACK:
         return points + 1 if tension < SLACK_BELOW_N else 0
@@ -95,37 +100,37 @@ def regime_evidence_without_cell(regime: int, points: int, tension: float, missi
 
 @inner
 def is_nearly_taut(x: Tables, n: int) -> bool:
-    """Return True if a slack tendon of known length is nearly taut by the encoder."""
-    return x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n] > -NEAR_M
+    """Return True if the encoder shows that a slack tendon of known length is nearly taut."""
+    return x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n] > -NEARLY_TAUT_M
 
 
 @inner
 def is_regime_over(regime: int, points: int, blind: bool) -> bool:
-    """Return True if the evidence ends a regime. A tendon without load cell (``blind``) becomes slack later."""
+    """Return True if the evidence ends a regime. Without load cell (``blind``), slack needs more ticks."""
     slack_ticks = SLACK_TICKS_WITHOUT_CELL if blind else SLACK_TICKS
     return points >= (POINTS_OF_TAUT if regime == SLACK else slack_ticks)
 
 
 @inner
 def set_offset_of_newly_taut(x: Tables, c: ConstantTables, n: int, cell: float) -> None:
-    """Set offset or excursion of a newly taut tendon to make stretch and load cell agree.
+    """Set stretch offset or excursion of a newly taut tendon, so that its stretch agrees with the load cell.
 
-    The excursion of a digit on its open stop, or with joint encoders, is known. Otherwise the
-    length of the tendon is known by commissioning.
+    If the excursion is known, from the open stop or from joint encoders, the offset is set.
+    Otherwise the length of the tendon is known from commissioning, and the excursion is set.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        cell: load cell [N].
+        cell: load-cell reading [N].
     """
-    if x.tendon_int[s.STOPPED, n]:
+    if x.tendon_int[s.ON_OPEN_STOP, n]:
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
-    stretch = (cell - x.tendon[s.CELL_ERROR, n]) / c.tendon[h.STIFFNESS, n]
+    stretch = (cell - x.tendon[s.CELL_ERROR, n]) / c.tendon[h.TENDON_STIFFNESS, n]
     excursion = x.tendon[s.TRAVEL, n] - x.tendon[s.STRETCH_OFFSET, n] - stretch
     low = c.tendon[h.EXCURSION_LOW, n] - RANGE_MARGIN_M
     high = c.tendon[h.EXCURSION_HIGH, n] + RANGE_MARGIN_M
-    if c.tendon_int[h.ABSOLUTE, n] and low <= excursion <= high:
+    if c.tendon_int[h.KEEPS_LENGTH, n] and low <= excursion <= high:
         x.tendon[s.EXCURSION, n] = excursion
     else:
         x.tendon[s.STRETCH_OFFSET, n] = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - stretch

@@ -1,7 +1,7 @@
-"""Tip-equivalent force: the force normal to the last link, at the tip, with the torque of the digit.
+"""Tip-equivalent force: a force normal to the last link, at the tip, with the torque of the actual contact.
 
-A one-tendon finger gives no information on the place of contact. The tip is a convention, as the
-name indicates.
+The tension of a finger with one tendon does not depend on the place of contact. The tip is a
+convention.
 """
 
 import numpy as np
@@ -12,10 +12,10 @@ from handctl.hand.digit import DigitModel
 
 
 def joint_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the lever of a force at the tip along y of the last link about each joint: J^T n, (n,) [m].
+    """Return the levers about each joint of a force at the tip, along y of the last link: J^T n, (n,) [m].
 
     Args:
-        digit: the digit.
+        digit: model of the digit.
         q: (n,) joint angles [rad].
     """
     last = digit.joint_count - 1
@@ -23,7 +23,7 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 
 
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the lever of ``joint_lever`` in the digit's coordinates: B^T J^T n, (n_c,) [m]."""
+    """Return the levers of ``joint_lever``, about the digit's coordinates: B^T J^T n, (n_c,) [m]."""
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
 
@@ -31,9 +31,9 @@ def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:
     """Return the tip-equivalent force of a contact [N].
 
     Args:
-        digit: the digit.
+        digit: model of the digit.
         q: (n,) joint angles [rad].
-        external: (n_t,) tension in balance with the contact [N].
+        external: (n_t,) tensions in balance with the contact [N].
     """
     lever = reduced_tip_lever(digit, q)
     torque = digit.reduced_moment_arms.T @ external

@@ -1,1 +1,1 @@
-"""Gains: bounds, files, and the designs derived from gains."""
+"""Gains: their bounds and files, and the designs of filter and control loops from them."""

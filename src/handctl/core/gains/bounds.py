@@ -1,4 +1,4 @@
-"""Bounds of the gains as data: range, default and meaning of each key, and whether it may change during a run."""
+"""Bounds of the gains as data: range, default and meaning of each key, and True for a key that may change in a run."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,9 +15,9 @@ from handctl.printing import similar_name
 
 SECTIONS = ("filter", "motion", "tension", "contact")
 TENDON_SECTION = "tendon"
-"""Section of the forces of single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
+"""Section of forces for single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
 LIVE_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
-"""Sections accepted by a running controller. The design of the filter's gains takes too long within ticks."""
+"""Sections that a running controller accepts. The filter's design takes too long for the ticks of a run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +29,10 @@ class Bound:
         low: smallest value, excluded if ``open_low``.
         high: largest value.
         open_low: True if the value must be greater than ``low``.
-        default: of the packaged hands.
+        default: default value.
         whole: True for integers.
         live: True if a running controller accepts changes.
-        why: meaning of the key, empty if the name is enough.
+        why: meaning of the key, empty if the name is clear.
     """
 
     key: str
@@ -55,8 +55,8 @@ class TendonKey(NamedTuple):
 
     Attributes:
         tendon: name of the tendon.
-        field: name of the value in ``TendonForces``.
-        shared: key of the value for all tendons.
+        field: field of ``TendonForces`` with the force.
+        shared: key of the force for all tendons.
     """
 
     tendon: str
@@ -65,7 +65,7 @@ class TendonKey(NamedTuple):
 
 
 SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
-"""Field of ``TendonForces`` to the key of the value for all tendons."""
+"""Key of the force for all tendons, by the field of ``TendonForces``."""
 
 
 def tendon_key(key: str) -> TendonKey | None:
@@ -79,7 +79,7 @@ def tendon_key(key: str) -> TendonKey | None:
 
 @cache
 def bounds() -> Mapping[str, Bound]:
-    """Return the bounds of all keys for the whole hand, in the order of the gains model, which has the numbers."""
+    """Return the bounds of all keys for the whole hand, in the order of ``Gains``, which declares the numbers."""
     result = {}
     for section in SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
@@ -93,7 +93,7 @@ def bounds() -> Mapping[str, Bound]:
 
 
 def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
-    """Return smallest and largest value of a field, and True if the smallest is excluded."""
+    """Return the smallest and largest value of a field, and True if the smallest value is excluded."""
     low = float("-inf")
     high = float("inf")
     open_low = False
@@ -118,7 +118,7 @@ def bound_of(key: str) -> Bound | None:
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
-    """Return the value of every key, and of every force of a single tendon."""
+    """Return the value of every key, with the keys of forces for single tendons."""
     values = {key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2]) for key in bounds()}
     for one in gains.tendon:
         forces = {field: getattr(one, field) for field in SHARED_KEYS}
@@ -129,7 +129,7 @@ def values_by_key(gains: Gains) -> dict[str, float]:
 def different_values(before: Gains, after: Gains) -> dict[str, tuple[float, float]]:
     """Return the values before and after of every key that differs.
 
-    A tendon without a force of its own has that of all tendons.
+    A tendon without a force of its own has the force for all tendons.
     """
     old = values_by_key(before)
     new = values_by_key(after)
@@ -147,14 +147,14 @@ def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bo
     """Return gains with some values replaced. All values are checked first.
 
     Args:
-        gains: to be changed.
-        values: by key.
-        source: name of the values in messages.
-        live: only accept keys for a running controller.
+        gains: gains to copy.
+        values: new values by key.
+        source: name of the source of the values, for messages.
+        live: True to accept only keys that may change during a run.
 
     Raises:
-        ConfigError: for an unknown key, a value out of bounds, or a key fixed while a controller
-            runs.
+        ConfigError: for an unknown key, a value out of bounds, or a key that must not change during
+            a run.
     """
     content = gains.model_dump(by_alias=True)
     for key, value in values.items():
@@ -184,7 +184,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
     """Check that each single tendon with forces belongs to the hand.
 
     Args:
-        gains: to be used.
+        gains: gains to check.
         tendons: names of the hand's tendons.
 
     Raises:

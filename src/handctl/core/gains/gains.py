@@ -1,4 +1,4 @@
-"""Gains as data: tunable values with units, bounds and the reason of each default.
+"""Gains as data: tunable values with units, bounds and defaults.
 
 The defaults keep a gain margin of 6 dB and a phase margin of 45 degrees in both loops of the
 Jamia hands, on the hand file's plant and on random plants around it, at 500 Hz (jamia) and at
@@ -20,8 +20,8 @@ PACKAGED_GAINS_FOLDER = Path(__file__).parent / "packaged"
 class FilterGains(Document):
     """Noise assumed by the tension filter.
 
-    The disturbances represent effects beyond the model: friction, springs, contact. Correlation
-    times are those of the causing motions.
+    The disturbances represent effects that the model does not contain: friction, springs, contact.
+    Their correlation times are those of the motions that cause them.
     """
 
     motor_disturbance_N: float = Field(0.12, gt=0, le=50)
@@ -31,11 +31,11 @@ class FilterGains(Document):
     free_rate_N_per_s: float = Field(40.0, gt=0, le=1e4)
     """Rate of change of a freely moving digit's tension, beyond the planned change [N/s]."""
     free_time_s: float = Field(0.05, gt=0, le=10)
-    """Correlation time of this rate [s]."""
+    """Correlation time of the rate of change of a freely moving digit's tension [s]."""
     held_speed_m_s: float = Field(1.5e-3, gt=0, le=1)
     """Speed along the tendon of a digit at rest on an object [m/s]."""
     held_time_s: float = Field(0.1, gt=0, le=10)
-    """Correlation time of this speed [s]."""
+    """Correlation time of the speed of a digit at rest on an object [s]."""
     held_disturbance_N: float = Field(0.3, gt=0, le=50)
     """Disturbance force on the motor of a held digit [N]. Friction at low speed is hardly known."""
     held_disturbance_time_s: float = Field(0.3, gt=0, le=10)
@@ -51,30 +51,30 @@ class FilterGains(Document):
     joint_time_s: float = Field(0.1, gt=0, le=10)
     """Time in which joint encoders separate excursion from stretch offset [s]."""
     cell_drift_N: float = Field(1.0, gt=0, le=100)
-    """Drift of a load cell in ``cell_drift_time_s``, a random walk [N]."""
+    """Standard deviation of a load cell's drift after ``cell_drift_time_s``, as a random walk [N]."""
     cell_drift_time_s: float = Field(100.0, gt=0, le=1e5)
-    """Time of the drift of a load cell [s]."""
+    """Time to which ``cell_drift_N`` refers [s]."""
     cell_tared_s: float = Field(5.0, ge=0, le=1e5)
-    """Time since the last slack, assumed in the variance of a taut tendon [s]."""
+    """Time since the tendon was slack that the variance of a taut tendon's tension assumes [s]."""
     offset_m: float = Field(1e-5, gt=0, le=0.01)
-    """Change of the stretch offset in ``offset_time_s``, a random walk [m]."""
+    """Standard deviation of the stretch offset's change after ``offset_time_s``, as a random walk [m]."""
     offset_time_s: float = Field(60.0, gt=0, le=1e4)
-    """Time of the change of the stretch offset [s]."""
+    """Time to which ``offset_m`` refers [s]."""
     encoder_noise_counts: float = Field(0.3, gt=0, le=100)
-    """Noise of a motor encoder in counts: rounding, 1 / sqrt(12)."""
+    """Standard deviation of a motor encoder's noise in counts. It is 1 / sqrt(12) for rounding alone."""
 
 
 class MotionGains(Document):
-    """Weights of the motion loop by Bryson's rule: the equivalent error, speed error and force."""
+    """Weights of the motion loop by Bryson's rule: an error, a speed error and a force of equal cost."""
 
     position_error_m: float = Field(6e-4, gt=0, le=0.1)
-    """Error of the excursion that weighs as much as the other two weights [m]."""
+    """Error of the excursion with the cost of ``speed_error_m_s`` or ``force_N`` [m]."""
     speed_error_m_s: float = Field(0.028, gt=0, le=10)
-    """Error of the speed that weighs as much as the other two weights [m/s]."""
+    """Error of the tendon speed with the cost of ``position_error_m`` or ``force_N`` [m/s]."""
     force_N: float = Field(13.0, gt=0, le=500)
-    """Motor force that weighs as much as the other two weights, at 500 Hz and above [N].
+    """Motor force with the cost of ``position_error_m`` or ``speed_error_m_s``, at 500 Hz and above [N].
 
-    The weight is smaller at lower rates, see ``motion_design``.
+    At lower control rates a smaller force is used, see ``motion_design``.
     """
     inertia_share: float = Field(1.0, ge=0, le=1)
     """Fraction of the rotor's inertia in the feedforward."""
@@ -83,20 +83,20 @@ class MotionGains(Document):
     disturbance_rejection: float = Field(0.7, ge=0, le=1)
     """Fraction of the estimated motor disturbance that is cancelled."""
     tension_feedback: float = Field(0.3, ge=0, le=5)
-    """Inner tension loop while moving: additional motor force per newton of tension error."""
+    """Gain of the inner tension loop of a moving digit: added motor force per newton of tension error."""
 
 
 class TensionGains(Document):
     """Weights of the tension loop by Bryson's rule, and the rate of the setpoint."""
 
     tension_error_N: float = Field(4.0, gt=0, le=100)
-    """Error of the tension that weighs as much as the other two weights [N]."""
+    """Error of the tension with the cost of ``speed_error_m_s`` or ``force_N`` [N]."""
     speed_error_m_s: float = Field(0.03, gt=0, le=10)
-    """Tendon speed that weighs as much as the other two weights [m/s]."""
+    """Tendon speed with the cost of ``tension_error_N`` or ``force_N`` [m/s]."""
     force_N: float = Field(5.0, gt=0, le=500)
-    """Motor force that weighs as much as the other two weights, at 500 Hz and above [N]."""
+    """Motor force with the cost of ``tension_error_N`` or ``speed_error_m_s``, at 500 Hz and above [N]."""
     integral_per_s: float = Field(3.0, ge=0, le=100)
-    """Rate of the integral of the tension error [1/s]."""
+    """Integral gain: rate at which the tension error is integrated to a motor force [1/s]."""
     rate_N_per_s: float = Field(200.0, gt=0, le=5000)
     """Rate at which the tension setpoint approaches the target [N/s]."""
 
@@ -111,14 +111,14 @@ class ContactGains(Document):
     end of the range.
     """
     ticks: int = Field(1, ge=1, le=1000)
-    """Consecutive ticks above the threshold."""
+    """Number of ticks in a row above the threshold for a contact."""
 
 
 class TendonForces(Document):
-    """Forces of a single tendon, in place of those of all tendons.
+    """Forces for a single tendon, in place of the forces for all tendons.
 
-    Digits of different mass need them: a wrist that carries five fingers permits a thirtieth of the
-    force that a fingertip permits.
+    Digits of different mass need different forces: the force for a wrist that carries five fingers
+    is a thirtieth of the force for a fingertip.
     """
 
     name: str
@@ -158,29 +158,31 @@ class Provenance(Document):
     """Origin of gains, as evidence for their quality."""
 
     made: str = ""
-    """Date and time, ISO 8601, UTC."""
+    """Date and time at which the gains were made, ISO 8601, UTC."""
     version: str = ""
-    """Of handctl."""
+    """Version of handctl."""
     hand: str = ""
+    """Name of the hand."""
     identity: str = ""
     """Hash of the hand description at the time of design."""
     log: tuple[str, ...] = ()
-    """Recorded runs behind the gains."""
+    """Logs of the runs from which the gains were derived."""
     fit: str = ""
     """Calibration file with the identified parameters."""
     study: str = ""
-    """Search with these gains as result."""
+    """Search of which these gains are the result."""
     note: str = ""
+    """Text of the user."""
     number: int = Field(0, ge=0)
-    """Number in the history, 0 outside of a history."""
+    """Number in the history of gains, 0 outside of a history."""
     replaces: int = Field(0, ge=0)
-    """Number of the replaced gains, 0 for the packaged gains."""
+    """Number of the gains that were replaced, 0 for the packaged gains."""
     restores: int | None = Field(None, ge=0)
-    """Number of the gains restored by a rollback, 0 for the packaged gains. None: no rollback."""
+    """Number of the gains that a rollback restored, 0 for the packaged gains. None without a rollback."""
 
 
 class GainsFile(Gains):
-    """Gains with their provenance, as in a file."""
+    """Content of a gains file: gains with their provenance."""
 
     provenance: Provenance = Provenance()
 
@@ -201,7 +203,7 @@ def load_gains(path: Path | None) -> Gains:
 
 
 def packaged_gains(hand: str) -> Gains:
-    """Return the gains that come with a hand: those of its file in ``packaged``, or the defaults.
+    """Return the gains of a packaged hand: those of its file in ``packaged``, or the defaults.
 
     Args:
         hand: name of the hand.

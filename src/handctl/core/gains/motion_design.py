@@ -1,9 +1,9 @@
-"""Feedback gains of motion loop and tension loop, by LQR on the discrete model, once, before arming.
+"""Feedback gains of motion loop and tension loop, designed once before arming, by LQR on the discrete model.
 
-Both loops act on the tension filter's prediction, with the bus delay included, so the loops have no
-state for the delay. Errors of the prediction cost phase, and grow with the prediction horizon.
-Therefore the force weights are reduced at rates below 500 Hz.
-Source: Bryson's rule for the weights. The Riccati solution comes from ``control``.
+Both loops use the tension filter's prediction, which includes the bus delay, so the loops have no
+state for the delay. Errors of the prediction reduce the phase margin, and grow with the prediction
+horizon. Therefore the force weights are reduced at control rates below 500 Hz. Source: Bryson's
+rule for the weights. The Riccati solution comes from ``control``.
 """
 
 import math
@@ -26,7 +26,7 @@ with deferred_imports():
 
 @dataclass(frozen=True, slots=True)
 class MotionDesign:
-    """Gains of the two loops, each (N,).
+    """Feedback gains of motion loop and tension loop, each (N,).
 
     Attributes:
         stiffness: motion loop, acceleration per excursion error [1/s^2].
@@ -46,9 +46,9 @@ FULL_WEIGHT_PERIOD_S = 2e-3
 
 
 def largest_force_weight(force: float, period: float) -> float:
-    """Return the largest force weight [N] that a control period [s] permits.
+    """Return a force weight [N], reduced for control periods above ``FULL_WEIGHT_PERIOD_S`` [s].
 
-    A loop's stiffness is proportional to the weight, the bandwidth to the square root.
+    The stiffness of a loop is proportional to the weight, and the bandwidth to its square root.
     """
     return force * min(1.0, math.sqrt(FULL_WEIGHT_PERIOD_S / period))
 
@@ -57,12 +57,13 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
     """Design both loops of every tendon by LQR.
 
     Args:
-        space: the hand along the tendons.
-        gains: weights.
+        space: constants of the hand along the tendons.
+        gains: gains with the weights.
         period: control period [s].
 
     Raises:
-        ConfigError: if the weights lead to no gains, or are for a tendon that the hand does not have.
+        ConfigError: if the weights lead to no gains, or are for a tendon that the hand does not
+            have.
     """
     check_tendon_names(gains, space.names)
     return design_from_pieces(
@@ -76,7 +77,7 @@ def design_piece_count(space: TendonSpace) -> int:
 
 
 def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) -> Vector:
-    """Return the gain (2,) of a loop: pieces 0 to N - 1 are motion loops, N to 2 N - 1 tension loops.
+    """Return the gain (2,) of one loop. Pieces 0 to N - 1 are motion loops, pieces N to 2 N - 1 are tension loops.
 
     Raises:
         ConfigError: if the weights lead to no gains.
@@ -90,7 +91,7 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) ->
 
 
 def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesign:
-    """Return the design from all pieces."""
+    """Return the design of all tendons from the gains of all pieces."""
     n = len(space.spool)
     mass = space.motor_mass + space.load_mass
     motion = designed[:n]
@@ -106,7 +107,7 @@ def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesi
 def _sampled_lqr_gain(
     A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float
 ) -> Vector:
-    """Return the gain (2,) of x' = A x + B u sampled at the period, with Bryson weights."""
+    """Return the LQR gain (2,) for x' = A x + B u, sampled at the period, with weights by Bryson's rule."""
     # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
     F = sampled[:2, :2]
@@ -119,7 +120,10 @@ def _sampled_lqr_gain(
 
 
 def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
-    """Design the motion loop: motor and digit as a mass on a rigid tendon, force per [m, m/s]."""
+    """Design the motion loop for motor and digit as one mass on a rigid tendon.
+
+    The states are excursion error [m] and speed error [m/s].
+    """
     weights = gains.motion
     mass = float(space.motor_mass[i] + space.load_mass[i])
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
@@ -129,7 +133,7 @@ def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float)
 
 
 def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
-    """Design the tension loop: rotor on the tendon of a blocked digit.
+    """Design the tension loop for a rotor on the tendon of a blocked digit.
 
     The states are tension error [N] and tendon speed [m/s].
     """

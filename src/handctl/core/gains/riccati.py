@@ -7,8 +7,8 @@ import numpy as np
 from handctl.core.deferred_imports import deferred_imports, import_without_package
 from handctl.core.types import Vector
 
-# control.dlqr and control.dlqe end in this solver. The package around it imports matplotlib and scipy.signal, which
-# takes longer than the design.
+# control.dlqr and control.dlqe call this solver. The package control also imports matplotlib and
+# scipy.signal, which takes longer than the design of the gains.
 with deferred_imports():
     _mateqn: Any = import_without_package("control.mateqn")
 

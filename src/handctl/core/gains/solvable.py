@@ -1,6 +1,6 @@
-"""Conversion of solver failures into one-line errors.
+"""Conversion of solver failures into errors of one line.
 
-Weights may each be within the bounds, but too far apart for a solution.
+Weights that are each within their bounds may still be too far apart for a solution.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ def solver_failures_as_errors(section: str) -> Iterator[None]:
     """Convert any solver failure into an error of one line.
 
     Args:
-        section: of the gains.
+        section: section of the gains that was designed.
 
     Raises:
         ConfigError: if the solver fails.
@@ -25,7 +25,7 @@ def solver_failures_as_errors(section: str) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):
             yield
-    except (ValueError, ArithmeticError, TypeError) as error:  # as scipy, numpy and control say it
+    except (ValueError, ArithmeticError, TypeError) as error:  # the errors of scipy, numpy and control
         right = "weights nearer to the packaged ones (handctl gains show)"
         raise ConfigError("no controller follows from these values", f"gains: {section}", right) from error
 

@@ -1,1 +1,1 @@
-"""Control law: from goals and estimates to motor torques."""
+"""Control law: computation of motor torques from goals and estimates."""

@@ -1,9 +1,9 @@
-"""Joint torque to tendon tension: the bounded least-squares problem of a tendon-driven digit.
+"""Conversion of joint torque to tendon tensions: the bounded least-squares problem of a tendon-driven digit.
 
-minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_bias|^2 subject to f_min <= f <= f_max, with
-the mean moment arm r. A solution of the equations within the bounds is used directly. If the bounds
-forbid the torque, the closest torque is used, with equal weights of all coordinates, and the
-shortfall is returned. Source: Lee & Tsai (1991).
+The problem is: minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_min|^2 subject to f_min <= f
+<= f_max, with the mean moment arm r. If the equations have a unique solution within the bounds, it
+is used. If no tensions within the bounds make the torque, the closest torque is used, with equal
+weights of all coordinates, and the missing torque is returned. Source: Lee & Tsai (1991).
 """
 
 from typing import NamedTuple
@@ -13,11 +13,11 @@ import numpy as np
 from handctl.core.types import Vector
 
 REGULARISATION = 1e-6
-"""Weight of tension [N^2] against torque error as tension. Small: only a choice between equal solutions."""
+"""Weight of tension against torque error, both squared and as tensions. It only decides between equal solutions."""
 
 
 def tensions_for_torque(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector) -> tuple[Vector, Vector]:
-    """Compute the tensions for a torque.
+    """Return the tensions of a digit for a torque, and the torque that they do not make.
 
     Args:
         moment_arms: (n_t, n_c) reduced moment arms [m].
@@ -26,7 +26,7 @@ def tensions_for_torque(moment_arms: Vector, torque: Vector, floor: Vector, ceil
         ceiling: (n_t,) largest tensions [N].
 
     Returns:
-        Tensions (n_t,) [N] and missing torque (n_c,) [N m].
+        Tensions (n_t,) [N], and the missing torque (n_c,) [N m].
     """
     tension = _unique_solution(moment_arms, torque)
     if tension is None or (tension < floor).any() or (tension > ceiling).any():
@@ -35,7 +35,7 @@ def tensions_for_torque(moment_arms: Vector, torque: Vector, floor: Vector, ceil
 
 
 def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
-    """Return the unique solution without bounds, None with more tendons than coordinates."""
+    """Return the unique solution without bounds, or None for more tendons than coordinates."""
     if moment_arms.shape[0] != moment_arms.shape[1]:
         return None
     if len(torque) == 1:
@@ -44,7 +44,14 @@ def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
 
 
 class _Problem(NamedTuple):
-    """Constants of a digit's quadratic program: arms over their mean, the mean [m], and the weights."""
+    """Constants of a digit's quadratic program.
+
+    Attributes:
+        arms: (n_t, n_c) moment arms divided by their mean.
+        mean: mean moment arm [m].
+        weight: (n_t, n_t) matrix of the quadratic form.
+        unconstrained: (0, n_t) matrix of the linear constraints, of which there are none.
+    """
 
     arms: Vector
     mean: float
@@ -54,10 +61,11 @@ class _Problem(NamedTuple):
 
 _problems: dict[int, tuple[Vector, _Problem]] = {}
 MAX_CACHED_PROBLEMS = 64
+"""Largest number of cached quadratic programs."""
 
 
 def _cached_problem(moment_arms: Vector) -> _Problem:
-    """Return the program of moment arms, cached by identity, because moment arms are constant."""
+    """Return the quadratic program of moment arms. It is cached by the identity of read-only arms."""
     result = _problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:
         return result[1]
@@ -81,8 +89,8 @@ def solve_bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: V
         torque: see ``tensions_for_torque``.
         floor: see ``tensions_for_torque``.
         ceiling: see ``tensions_for_torque``.
-        near: (n_t,) tensions [N], for example the solution without bounds. Tensions out of bounds
-            form the solver's first active set. This halves the steps and needs no memory.
+        near: (n_t,) start tensions [N], for example the solution without bounds. The solver starts
+            with the bounds that these tensions violate as active set, which halves its steps.
     """
     from daqp import solve
 

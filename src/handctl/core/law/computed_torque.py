@@ -1,17 +1,21 @@
 """Computed torque of a tendon-driven digit, and the tension loop.
 
-Motion: inverse dynamics give the joint torque of the plan, the torque gives tendon tensions, and
-the motor adds the force for its own inertia and friction, and the feedback:
+Motion: inverse dynamics give the joint torque of the trajectory, and the torque gives the tendon
+tensions. The force for the motor's own inertia and friction is added, and the feedback:
 
     f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
-    u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v)) + c_i m_m s_d'' + c_f (b_m v + friction(s_d'))
+    u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v)) + c_i m_m s_d'' + c_f (b_m v +
+    friction(s_d'))
         - c_d disturbance + K_f (f_0 - f_hat)
 
-with excursions s = R_r theta (with varying arms e(q), and s'' = R q'' + R' q'^2), the tendon's
-speed v at the spool, which damps the rotor and not the digit behind the tendon, and fractions c of
-the gains. The rotor is some twenty times heavier than the finger m_l. The feedback accelerates
-both. Hold: state feedback on tension error and tendon speed, with a slow integral. The speed and
-the rotor's inertia of an expected trajectory are fed forward. Source: LQR of ``motion_design``.
+The excursions are s = R_r theta. With varying arms they are e(q), and s'' = R q'' + R' q'^2. The
+speed v is that of the tendon at the spool, so the feedback damps the rotor and not the digit behind
+the tendon. The factors c are fractions from the gains. The rotor m_m is about twenty times heavier
+than the finger m_l, and the feedback accelerates both.
+
+Tension: state feedback of tension error and tendon speed, with a slow integral. On an expected
+trajectory, the speed and the force for the rotor's inertia are fed forward. Source: LQR of
+``motion_design``.
 """
 
 import math
@@ -47,28 +51,36 @@ Matrix = NDArray[np.float64]
 MOTOR_FRICTION_SPEED = 2.5e-3
 """Tendon speed of fully developed motor friction [m/s]: 0.5 rad/s at a 5 mm spool."""
 UNWIND_FRACTION = 0.3
-"""Fraction of the torque limit for paying out: enough for braking the rotor, too little for throwing a tendon off."""
+"""Largest force for paying out, as a fraction of the torque limit.
+
+It is enough to brake the rotor, and too little to throw a tendon off its spool.
+"""
 TRIM_TIME_S = 0.2
-"""Time constant of the fading trim after a change of gains [s]. Slower than both loops, so they follow."""
+"""Time constant of the fading trim after a change of gains [s]. Both loops are faster, so they can follow."""
 MIN_TRIM_N = 1e-3
-"""Trim set to 0 below this size [N]: a fiftieth of a torque count of the finest drive."""
+"""Size below which a trim is set to 0 [N], 0.02 counts of the drive with the finest torque."""
 HOLD_MARGIN_N = 1.0
-"""Margin above the tension at the start of a hold [N]: about the error of the estimate."""
+"""Margin above the tension at the start of a hold [N], about the error of the estimate."""
 ROUNDING_FACTOR = 1.0 - 1e-12
-"""Factor to prevent a settled envelope from creeping upwards by rounding errors of a division."""
+"""Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
 TAKE_UP_SPEED = 0.02
-"""Speed of a spool that takes up the slack of its tendon during a motion [m/s], below that of a snapped tendon."""
+"""Speed of a spool that takes up the slack of its tendon during a motion [m/s].
+
+It is below the speed from which a tendon counts as snapped.
+"""
 RELAX_FLOOR_N = 5.0
 """Tension of a relaxed hand whose springs open it [N]."""
 
 
 @inner
 def command_no_torque(x: Tables) -> None:
-    """Command no torque. The setpoint of a tension loop will begin at the present tension."""
+    """Command no torque. The setpoint of a later tension loop starts at the present tension."""
     begin_servo_commands(x)
     for n in range(x.tendon.shape[1]):
         x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
-        x.tendon[s.INTEGRAL, n] = x.tendon[s.FORCE, n] = x.tendon[s.PLANNED, n] = x.tendon[s.RATE, n] = 0.0
+        x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_FORCE, n] = x.tendon[s.PLANNED_TENSION, n] = x.tendon[
+            s.PLANNED_TENSION_RATE, n
+        ] = 0.0
         x.tendon[s.TRIM, n] = x.tendon[s.TORQUE, n] = 0.0
         x.tendon[s.TENSION_GOAL, n] = x.tendon[s.FRICTION_STATE, n] = math.nan
     for j in range(x.joint.shape[1]):
@@ -79,7 +91,7 @@ def command_no_torque(x: Tables) -> None:
 
 @inner
 def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
-    """Begin or end a hold demanded by safety. The tension at its beginning is the limit.
+    """Start or end a hold that safety demands. The tension at the start of the hold is its limit.
 
     Args:
         x: state tables.
@@ -88,8 +100,8 @@ def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
     """
     if hold and not x.run_int[s.HOLDING]:
         for n in range(x.tendon.shape[1]):
-            held = max(x.tendon[s.TENSION, n], c.tendon[h.FLOOR, n])
-            if c.tendon_int[h.PAIR, n]:
+            held = max(x.tendon[s.TENSION, n], c.tendon[h.TENSION_FLOOR, n])
+            if c.tendon_int[h.IS_SPOOL_PAIR, n]:
                 held = abs(x.tendon[s.TENSION, n])
             x.tendon[s.HOLD_LIMIT, n] = held + HOLD_MARGIN_N
     x.run_int[s.HOLDING] = hold
@@ -99,9 +111,10 @@ def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
 def present_tension_limits(x: Tables, c: ConstantTables) -> Vector:
     """Return the present tension limits (N,) [N], in addition to the hand's own limits.
 
-    A warm drive is derated: full limit up to the soft temperature, the floor at the hard
-    temperature. A blocked digit may pull little more than the trajectory requires. During a hold no
-    tendon may pull more than before. The limit of a spool pair holds for both directions.
+    The limit of a warm drive falls from the ceiling at the soft temperature to the floor at the
+    hard temperature. The limit of a blocked digit is ``MAX_PRESS_N`` above the tension that the
+    trajectory requires. During a hold the limit is the tension at the start of the hold. The limit
+    of a spool pair applies to both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     warm = False
@@ -110,10 +123,10 @@ def present_tension_limits(x: Tables, c: ConstantTables) -> Vector:
     for n in range(len(limit)):
         if warm:
             limit[n] = _derated_tension(x, c, n)
-        planned = x.tendon[s.PLANNED, n]
-        if c.tendon_int[h.PAIR, n]:
+        planned = x.tendon[s.PLANNED_TENSION, n]
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             planned = abs(planned)
-        if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT, n]] and planned > 0.0:
+        if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned > 0.0:
             limit[n] = min(limit[n], planned + MAX_PRESS_N)
         if x.run_int[s.HOLDING]:
             limit[n] = min(limit[n], x.tendon[s.HOLD_LIMIT, n])
@@ -129,8 +142,8 @@ def _derated_tension(x: Tables, c: ConstantTables, n: int) -> float:
     if math.isnan(temperature):
         temperature = soft
     fraction = min(max((hard - temperature) / (hard - soft), 0.0), 1.0)
-    low = 0.0 if c.tendon_int[h.PAIR, n] else c.tendon[h.FLOOR, n]
-    high = c.tendon[h.CEILING, n]
+    low = 0.0 if c.tendon_int[h.IS_SPOOL_PAIR, n] else c.tendon[h.TENSION_FLOOR, n]
+    high = c.tendon[h.TENSION_CEILING, n]
     return low + fraction * (high - low)
 
 
@@ -138,15 +151,16 @@ def _derated_tension(x: Tables, c: ConstantTables, n: int) -> float:
 def write_motor_torques(
     x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_loop: bool, ticks: int
 ) -> None:
-    """Write the motor torques of the tick, and the control law's state for the next.
+    """Write the motor torques of the tick, and the state of the control law for the next tick.
 
     Args:
         x: state tables.
         c: constants of the hand.
         way: (3, J) angles, rates and accelerations of the joints on the trajectories.
-        relax_rate: rate of falling motor forces of a relaxing hand [N/s], 0 in other modes.
-        open_loop: True if motor forces equal the envelope regardless of measurements.
-        ticks: periods since the last tick, 1 without missed ticks.
+        relax_rate: rate at which the envelope of motor forces falls in a relaxing hand [N/s], 0 in
+            other modes.
+        open_loop: True if the motor forces of a relaxing hand equal the envelope, without feedback.
+        ticks: number of periods since the last tick, 1 without missed ticks.
     """
     begin_servo_commands(x)
     limit = present_tension_limits(x, c)
@@ -166,34 +180,34 @@ def write_motor_torques(
         by_drive = _is_moved_by_drive(x, c, n)
         if kind == MOTION:
             force = _motion_force(x, c, n, terms[0, n], terms[1, n], rate, acceleration)
-            if c.tendon_int[h.REDUNDANT, n]:
+            if c.tendon_int[h.HAS_SURPLUS, n]:
                 integral = internal[1, n]
                 force += internal[0, n] + integral
-            load[n] = x.tendon[s.LOAD, n]
+            load[n] = x.tendon[s.REQUIRED_TENSION, n]
         if kind == TENSION:
             force, setpoint, integral = _tension_force(x, c, n, limit[n])
             force += _force_for_carriers(c, n, carried_rate, carried_acceleration)
             load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
         if kind != LIMP:
             force += x.tendon[s.TRIM, n]
-        largest = min(limit[n], c.tendon[h.CEILING, n]) if by_drive else limit[n]
+        largest = min(limit[n], c.tendon[h.TENSION_CEILING, n]) if by_drive else limit[n]
         command_force = _limited_force(c, n, force, largest)
         if relax_rate > 0.0:
             command_force = _relaxing_force(
                 x, c, n, command_force, _relaxing_force_limit(x, c, n, relax_rate, ticks), open_loop
             )
         _write_filter_force(x, c, n, command_force, carried_acceleration)
-        x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL, n]
+        x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL_RADIUS, n]
         if by_drive:
             write_servo_command(x, c, n, own_rate, force - terms[1, n], command_force)
         elif n < x.servo.shape[1]:
             command_torque_only(x, n)
         x.tendon[s.SETPOINT, n] = setpoint
-        x.tendon[s.INTEGRAL, n] = integral
+        x.tendon[s.TENSION_INTEGRAL, n] = integral
         if kind == MOTION:
             predict_moving_tension(x, c, n, rate, winding[n])
         else:
-            x.tendon[s.PLANNED, n] = x.tendon[s.RATE, n] = 0.0
+            x.tendon[s.PLANNED_TENSION, n] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
             x.tendon[s.FRICTION_STATE, n] = math.nan
     _fade_trim(x, c)
     _write_joint_torques(x, c, way, load)
@@ -209,11 +223,12 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
         force: motor force [N].
         limit: present tension limit [N].
     """
-    force = min(max(force, c.tendon[h.UNWIND, n]), c.tendon[h.LIMIT, n])
-    # A tension limit bounds the motor force, plus the friction that the motor has to overcome.
-    bound = limit + c.tendon[h.COULOMB, n]
+    force = min(max(force, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
+    # The bound of the motor force is the tension limit plus the friction that the motor has to
+    # overcome.
+    bound = limit + c.tendon[h.MOTOR_COULOMB, n]
     force = min(force, bound)
-    if c.tendon_int[h.PAIR, n]:
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         force = max(force, -bound)
     return force
 
@@ -229,11 +244,12 @@ def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carr
         force: motor force of the coming period [N].
         carried: acceleration of the carriers along the tendon on the trajectories [m/s2].
     """
-    x.tendon[s.FORCE, n] = force - _motor_friction(x, c, n, force)
-    if c.run_int[h.HAND_PASSED]:
-        # The filter counts travel without the carriers' part, and lacks the force that turns them.
-        x.tendon[s.FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
-        x.tendon[s.FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(c, n, x.joint[s.DQ])
+    x.tendon[s.FILTER_FORCE, n] = force - _motor_friction(x, c, n, force)
+    if c.run_int[h.HAS_CARRIER_ARMS]:
+        # The filter's travel is without the carriers' motion, so the force for this motion is
+        # subtracted.
+        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
+        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(c, n, x.joint[s.DQ])
 
 
 @inner
@@ -251,21 +267,30 @@ def _write_joint_torques(x: Tables, c: ConstantTables, way: Matrix, load: Vector
         x.joint[s.JOINT_TORQUE, j] = 0.0
         x.joint[s.Q_GOAL, j] = x.joint[s.DQ_GOAL, j] = math.nan
     for n in range(len(load)):
-        d = c.tendon_int[h.DIGIT, n]
+        d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.MOMENT_ARMS, n, j]
             if x.tendon_int[s.GOAL_KIND, n] == MOTION and c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 x.joint[s.Q_GOAL, j] = way[0, j]
                 x.joint[s.DQ_GOAL, j] = way[1, j]
-        if c.run_int[h.HAND_PASSED]:
+        if c.run_int[h.HAS_CARRIER_ARMS]:
             for j in range(joints):
                 x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.CARRIER_ARMS, n, j]
 
 
 @inner
 def _relaxing_force(x: Tables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool) -> float:
-    """Return the motor force of a relaxing hand [N], within the envelope, or the envelope itself in open loop."""
-    if c.tendon_int[h.PAIR, n]:
+    """Return the motor force of a relaxing hand [N]: limited by the envelope, or in open loop the envelope itself.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        force: motor force of the control law [N].
+        ceiling: envelope, the largest motor force [N].
+        open_loop: True to return the envelope.
+    """
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last = x.tendon[s.COMMANDED_FORCE, n]
         sign = -1.0 if last < 0.0 else 1.0
         return sign * ceiling if open_loop else sign * min(max(sign * force, 0.0), ceiling)
@@ -295,23 +320,25 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         efficiency[n] = winding_efficiency(c, n, way[0])
         excursion, rate, _ = _goal_along_tendon(c, n, way)
         place = x.tendon[s.EXCURSION, n]
-        if c.tendon_int[h.REDUNDANT, n]:
+        if c.tendon_int[h.HAS_SURPLUS, n]:
             surplus = True
-            # Excursions that no motion of the digit explains are errors of length: no feedback acts on them.
+            # The part of the excursions that no motion explains is an error of length. It gets no
+            # feedback.
             place = part_explained_by_motion(c, n, x.tendon[s.EXCURSION]) + c.tendon[h.EXPLAINED_OFFSET, n]
         feedback = x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
         feedback += x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SPEED_GAIN, n] * (rate - x.tendon[s.SPEED, n])
         counted = c.run[h.FRICTION_FRACTION]
-        # Fraction of the tension that passes the pulleys: efficiency winding, about 1 / efficiency paying out.
+        # Tension behind the pulleys as a fraction: the efficiency while winding, 1 / efficiency
+        # while paying out.
         winding = math.tanh((rate + _goal_of_carriers(c, n, way)[0]) / CAPSTAN_FRICTION_SPEED)
         passed = (1.0 - counted) + counted * math.pow(efficiency[n], winding)
-        ceiling = min(c.tendon[h.CEILING, n], limit[n])
-        if c.tendon_int[h.PAIR, n]:
-            required = net_tension_at_spool(x.tendon[s.LOAD, n], c.tendon[h.PRETENSION, n], passed)
+        ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+            required = net_tension_at_spool(x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], passed)
             terms[0, n] = min(max(required, -ceiling), ceiling)
         else:
-            terms[0, n] = min(max(x.tendon[s.LOAD, n] / passed, c.tendon[h.FLOOR, n]), ceiling)
-        terms[1, n] = c.tendon[h.MASS, n] * feedback
+            terms[0, n] = min(max(x.tendon[s.REQUIRED_TENSION, n] / passed, c.tendon[h.TENSION_FLOOR, n]), ceiling)
+        terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * feedback
         if _is_moved_by_drive(x, c, n):
             terms[1, n] = servo_force(x, c, n, excursion, rate, terms[0, n])
     if surplus:
@@ -322,8 +349,8 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
 
 @inner
 def _takes_up_slack(x: Tables, c: ConstantTables, n: int) -> bool:
-    """Return True for a slack tendon of a streamed digit. One of the two tendons of a spool pair is always taut."""
-    if c.tendon_int[h.PAIR, n] or not is_tendon_streamed(x, c, n):
+    """Return True for a slack tendon of a streamed digit. A spool pair is never slack."""
+    if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
         return False
     return x.tendon_int[s.REGIME, n] == SLACK or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
 
@@ -342,11 +369,11 @@ def _take_up_speed(rate: float) -> float:
 
 @inner
 def _take_up_slack(x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, internal: Matrix) -> None:
-    """Replace the feedback on slack tendons of streamed digits: their spools wind at a low speed.
+    """Replace the feedback on slack tendons of streamed digits, so that their spools wind at a low speed.
 
-    A slack tendon does not move its digit. Feedback of position would pay it out further, or pull it
-    taut with a jerk that resembles a torn tendon. Near slack no feedback pays out: springs or the
-    antagonist open the digit first.
+    A slack tendon does not move its digit. Feedback of the position could pay the tendon out
+    further, or pull it taut with a jerk that resembles a torn tendon. For a nearly slack tendon,
+    feedback that pays out is reduced: springs or the antagonist open the digit first.
 
     Args:
         x: state tables.
@@ -356,13 +383,13 @@ def _take_up_slack(x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, int
         internal: (2, N) null-space force and integral [N], modified in place.
     """
     for n in range(x.tendon.shape[1]):
-        if c.tendon_int[h.PAIR, n] or not is_tendon_streamed(x, c, n):
+        if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
             continue
-        floor = c.tendon[h.FLOOR, n]
+        floor = c.tendon[h.TENSION_FLOOR, n]
         if _takes_up_slack(x, c, n):
             _, rate, _ = _goal_along_tendon(c, n, way)
             terms[0, n] = floor
-            terms[1, n] = c.tendon[h.MASS, n] * c.tendon[h.SPEED_GAIN, n]
+            terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
             terms[1, n] *= _take_up_speed(rate) - x.tendon[s.SPEED, n]
             internal[0, n] = internal[1, n] = 0.0
         elif terms[1, n] < 0.0:
@@ -375,8 +402,8 @@ def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, f
     excursion = 0.0
     rate = 0.0
     acceleration = 0.0
-    varying = c.tendon_int[h.VARYING, n] == 1
-    d = c.tendon_int[h.DIGIT, n]
+    varying = c.tendon_int[h.HAS_VARYING_ARM, n] == 1
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         arm = moment_arm(c, n, j, way[0, j])
         excursion += joint_excursion(c, n, j, way[0, j])
@@ -389,26 +416,26 @@ def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, f
 
 @inner
 def _goal_of_carriers(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float]:
-    """Return rate [m/s] and acceleration [m/s2] of a tendon by the trajectories of its digit's carriers."""
-    if not c.run_int[h.HAND_PASSED]:
+    """Return the parts of a tendon's rate [m/s] and acceleration [m/s2] by the trajectories of its digit's carriers."""
+    if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
     return carrier_excursion(c, n, way[1]), carrier_excursion(c, n, way[2])
 
 
 @inner
 def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: float) -> float:
-    """Return the motor force with which a held tendon follows its digit's carriers [N].
+    """Return the motor force with which a tension-controlled tendon follows its digit's carriers [N].
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        rate: of the carriers along the tendon [m/s].
-        acceleration: of the carriers along the tendon [m/s2].
+        rate: rate of the carriers along the tendon [m/s].
+        acceleration: acceleration of the carriers along the tendon [m/s2].
     """
-    if not c.run_int[h.HAND_PASSED]:
+    if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0
-    friction = c.tendon[h.COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
-    return friction + c.tendon[h.MOTOR_DAMPING, n] * rate + c.tendon[h.INERTIA, n] * acceleration
+    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
+    return friction + c.tendon[h.MOTOR_DAMPING, n] * rate + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
 
 
 @inner
@@ -421,26 +448,27 @@ def _motion_force(
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        tension: goal at the load cell [N].
-        feedback: force by the errors of excursion and speed [N].
-        rate: of the tendon at its spool on the trajectories [m/s].
-        acceleration: of the tendon at its spool on the trajectories [m/s2].
+        tension: tension goal at the load cell [N].
+        feedback: feedback force of the errors of excursion and speed [N].
+        rate: rate of the tendon at its spool on the trajectories [m/s].
+        acceleration: acceleration of the tendon at its spool on the trajectories [m/s2].
     """
     speed = motor_speed(x, c, n)
     counted = c.run[h.FRICTION_FRACTION]
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
         rate = _take_up_speed(rate)
-    # The position of a drive's own loop contains the stretch, so that it acts on the tension.
+    # The position command of a drive's own loop includes the planned stretch, so that loop controls
+    # the tension too.
     inner_gain = 0.0 if _is_moved_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
     return (
         tension
         + feedback
-        + c.tendon[h.INERTIA, n] * acceleration
-        - x.tendon[s.STIFFNESS_FRACTION, n] * c.run[h.REJECTION] * x.tendon[s.DISTURBANCE, n]
+        + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
+        - x.tendon[s.STIFFNESS_FRACTION, n] * c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.DISTURBANCE, n]
         + inner_gain * (tension - x.tendon[s.TENSION, n])
         + counted * c.tendon[h.MOTOR_DAMPING, n] * speed
-        + counted * c.tendon[h.COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
+        + counted * c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
     )
 
 
@@ -454,14 +482,14 @@ def _tension_force(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[
         n: index of the tendon.
         limit: largest tension [N].
     """
-    target = min(x.tendon[s.TARGET, n], limit)
-    if c.tendon_int[h.PAIR, n]:
+    target = min(x.tendon[s.TENSION_TARGET, n], limit)
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         target = max(target, -limit)
-    step = x.tendon[s.TARGET_STEP, n]
+    step = x.tendon[s.SETPOINT_STEP, n]
     before = x.tendon[s.SETPOINT, n]
     setpoint = before + min(max(target - before, -step), step)
     error = setpoint - x.tendon[s.TENSION, n]
-    integral = x.tendon[s.INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error
+    integral = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error
     integral = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
     slack = x.tendon_int[s.REGIME, n] == 2
     if slack:
@@ -471,12 +499,13 @@ def _tension_force(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[
         + c.tendon[h.TENSION_GAIN, n] * error
         - c.tendon[h.TENSION_SPEED_GAIN, n] * x.tendon[s.SPEED, n]
         + integral
-        - c.run[h.REJECTION] * x.tendon[s.DISTURBANCE, n]
+        - c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.DISTURBANCE, n]
     )
     if slack and setpoint > 0.0:
-        # No tension feeds back yet, and a small one does not turn a rotor at rest.
-        force += c.tendon[h.COULOMB, n]
-    if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] != NO_TRAJECTORY:
+        # The small tension error of a slack tendon does not overcome the friction of a rotor at
+        # rest.
+        force += c.tendon[h.MOTOR_COULOMB, n]
+    if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] != NO_TRAJECTORY:
         force += _feedforward_force(x, c, n)
     max_force = x.tendon[s.FORCE_LIMIT, n]
     return min(max(force, -max_force), max_force), setpoint, integral
@@ -490,7 +519,7 @@ def _feedforward_force(x: Tables, c: ConstantTables, n: int) -> float:
     for k in range(x.coordinate.shape[1]):
         speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 1, k]
         acceleration += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
-    friction = c.tendon[h.COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED)
+    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED)
     feedforward = friction + c.tendon[h.MOTOR_MASS, n] * acceleration
     return feedforward + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
 
@@ -499,11 +528,11 @@ def _feedforward_force(x: Tables, c: ConstantTables, n: int) -> float:
 def _relaxing_force_limit(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> float:
     """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
     last = x.tendon[s.COMMANDED_FORCE, n]
-    if c.tendon_int[h.PAIR, n]:
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last = abs(last)
     last = 0.0 if math.isnan(last) else max(last, 0.0)
     falling = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
-    return max(min(last, c.tendon[h.RELAXED, n]), falling) * ROUNDING_FACTOR
+    return max(min(last, c.tendon[h.RELAXED_TENSION, n]), falling) * ROUNDING_FACTOR
 
 
 @inner
@@ -512,13 +541,13 @@ def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) 
 
     By the implicit midpoint rule: friction can stop a rotor within a period, but not reverse it.
     """
-    coasting = motor_speed(x, c, n) + c.tendon[h.HALF, n] * (command_force - x.tendon[s.TENSION, n])
-    return c.tendon[h.COULOMB, n] * math.tanh(coasting / c.tendon[h.STOPPING, n])
+    coasting = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (command_force - x.tendon[s.TENSION, n])
+    return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(coasting / c.tendon[h.FRICTION_STOP_SPEED, n])
 
 
 @inner
 def _fade_trim(x: Tables, c: ConstantTables) -> None:
-    """Fade the trim. The whole trim ends when the largest is negligible."""
+    """Reduce the trim of all tendons. End the trim when the largest one is negligible."""
     if not x.run_int[s.TRIMMED]:
         return
     largest = 0.0

@@ -1,4 +1,4 @@
-"""Goal of a digit at an instant, from a task, an operator or a program."""
+"""Goal of a digit, from a task, an operator or a program."""
 
 import enum
 import math
@@ -12,25 +12,25 @@ class Kind(enum.IntEnum):
     """Type of control of a digit."""
 
     LIMP = 0
-    """Enabled, without torque."""
+    """The drives are enabled and make no torque."""
     MOTION = 1
-    """Along a trajectory, by computed torque."""
+    """The digit moves along a trajectory, by computed torque."""
     TENSION = 2
-    """Each tendon at a tension."""
+    """Each tendon has a tension goal."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitGoal:
-    """Goal of a digit. Goals are compared by identity, so derived values can be cached.
+    """Goal of a digit. Goals are compared by identity, so that values derived from them can be cached.
 
     Attributes:
         kind: type of control.
-        trajectory: for MOTION, in the digit's coordinates. For TENSION, the expected motion: fed
-            forward, without feedback on deviations.
-        since: start of the trajectory [s on the run's clock].
-        tension: for TENSION, (n_t,) target at the load cells [N].
-        rate: for TENSION, rate of approaching the target [N/s].
-        force_limit: largest motor force at the tendon for the goal [N].
+        trajectory: for MOTION, the trajectory in the digit's coordinates. For TENSION, the expected
+            motion, which is fed forward without feedback.
+        since: program time at which the trajectory starts [s].
+        tension: for TENSION, (n_t,) target tensions at the load cells [N].
+        rate: for TENSION, rate at which the setpoint approaches the target [N/s].
+        force_limit: largest motor force that the goal allows [N].
     """
 
     kind: Kind = Kind.LIMP

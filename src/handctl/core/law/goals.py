@@ -1,4 +1,4 @@
-"""Goals of all digits, written into the block. They change far more rarely than ticks."""
+"""Writing of all digits' goals into the state block. This happens only when goals change."""
 
 import functools
 
@@ -13,13 +13,13 @@ from handctl.core.schema import Block, Layout
 
 
 def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...]) -> None:
-    """Write goals into a block.
+    """Write the goals of all digits into the state block.
 
     Args:
-        model: the hand.
-        layout: of the block.
-        block: the state, modified in place.
-        goals: per digit.
+        model: model of the hand.
+        layout: layout of the state block.
+        block: state block, modified in place.
+        goals: goal of each digit.
     """
     tendon = layout.table(block, "tendon")
     digit = layout.table(block, "digit")
@@ -29,13 +29,14 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
     for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)):
         kinds[tendons] = int(_kind_of_control(goal))
         if goal.kind == Kind.TENSION and goal.trajectory is not None:
-            # Sideways spool pairs hold their position while the others pull.
+            # Spool pairs that move the digit sideways hold their position while the other tendons
+            # pull.
             kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(Kind.MOTION)
         if goal.kind == Kind.TENSION and goal.tension is not None:
-            tendon[s.TARGET, tendons] = np.clip(
+            tendon[s.TENSION_TARGET, tendons] = np.clip(
                 goal.tension, np.minimum(model.floor[tendons], 0.0), model.ceiling[tendons]
             )
-            tendon[s.TARGET_STEP, tendons] = goal.rate * model.period
+            tendon[s.SETPOINT_STEP, tendons] = goal.rate * model.period
             tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
         ways[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
         if isinstance(goal.trajectory, Streamed):
@@ -53,21 +54,21 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
 
 
 def _kind_of_control(goal: DigitGoal) -> Kind:
-    """Return the kind of control of a goal. A goal without trajectory and tension commands no torque."""
+    """Return the kind of control of a goal: LIMP if its trajectory or tension is missing."""
     if (goal.kind == Kind.MOTION and goal.trajectory is None) or (goal.kind == Kind.TENSION and goal.tension is None):
         return Kind.LIMP
     return goal.kind
 
 
 def sample_trajectories(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...], t: float) -> None:
-    """Write position, rate and acceleration of trajectories without compiled code, at time t [s]."""
+    """Write position, rate and acceleration at time t [s] of trajectories that compiled code cannot evaluate."""
     for trajectory, since, places in sampled_goals(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = trajectory.at(t - since)
 
 
 @functools.lru_cache(maxsize=16)
 def sampled_goals(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Trajectory, float, slice], ...]:
-    """Return trajectory, start [s] and coordinates of the sampled goals."""
+    """Return trajectory, start time [s] and slice of coordinates of each goal that Python samples."""
     rows = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
         (goal.trajectory, goal.since, places)

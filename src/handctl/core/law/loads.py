@@ -1,4 +1,4 @@
-"""Tensions at the joints required by the goals: the compiled reference, and the decisions of Python."""
+"""Tensions at the joints that the goals require, from compiled code and from the bounded problem in Python."""
 
 from dataclasses import replace
 
@@ -18,19 +18,19 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 def write_tension_goals(
     model: HandModel, layout: Layout, constants: HandConstants, block: Block, action: int = 0
 ) -> None:
-    """Evaluate the goals and write the tensions of all moving tendons.
+    """Evaluate the goals, and write the required tensions of all moving tendons.
 
     Args:
-        model: the hand.
-        layout: of the block.
-        constants: of the hand.
-        block: the state, modified in place.
-        action: demanded by safety, ``safety.action.Action``.
+        model: model of the hand.
+        layout: layout of the state block.
+        constants: constants of the hand.
+        block: state block, modified in place.
+        action: reaction that safety demands, a number of ``safety.action.Action``.
     """
     constants_in = constants.block, constants.layout.places
     undecided = stages.evaluate_goals(block, layout.places, *constants_in, action)
     required = layout.view(block, "joint_required")
-    if model.inverse is not required_torque:  # another law of the digits, for experiments
+    if model.inverse is not required_torque:  # an experiment has replaced the inverse dynamics
         way = stages.joint_motion(block, layout.places, *constants_in)
         for digit in model.digits:
             required[digit.joints] = model.inverse(digit, *(row[digit.joints].tolist() for row in way))
@@ -46,11 +46,11 @@ def allocate_bounded_tensions(
     """Solve the bounded least-squares problem of digits with tensions out of bounds or not unique.
 
     Args:
-        model: the hand.
-        layout: of the block.
-        constants: of the hand, with the moment arms at the present angles.
-        block: the state, modified in place.
-        undecided: a bit for each of these digits.
+        model: model of the hand.
+        layout: layout of the state block.
+        constants: constants of the hand, with the moment arms at the present angles.
+        block: state block, modified in place.
+        undecided: a number with a bit for each of these digits.
         way: (3, J) angles, rates and accelerations of the joints on the trajectories.
     """
     required = layout.view(block, "joint_required")
@@ -70,22 +70,23 @@ def allocate_bounded_tensions(
 
 
 def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitModel:
-    """Return a digit with varying moment arms as they are at the present angles."""
+    """Return a copy of a digit's model with the moment arms at the present angles."""
     arms = constants.layout.view(constants.block, "moment_arms")[digit.tendons, digit.joints]
     return replace(digit, moment_arms=arms, reduced_moment_arms=arms @ digit.coupling)
 
 
 def _tensions_with_friction(model: HandModel, digit: DigitModel, required: Vector, way: Vector) -> Vector:
-    """Return the tensions at the joints (n_t,) of a digit whose tendons hold each other [N].
+    """Return the tensions at the joints (n_t,) of a digit whose tendons act against each other [N].
 
-    Each pulley of a tendon has its own share of friction. Without springs the sum of all tendons
-    must be right at each joint, so the problem is solved with the moment arms less friction.
+    Each pulley of a tendon has its own friction. Without springs the torques of all tendons must be
+    in balance at each joint, so the problem is solved with moment arms that are reduced by
+    friction.
 
     Args:
-        model: the hand.
-        digit: the digit.
+        model: model of the hand.
+        digit: model of the digit.
         required: (n,) joint torques [N m].
-        way: (2, n) angles and rates of the joints on the trajectory.
+        way: (2, n) angles [rad] and rates [rad/s] of the joints on the trajectory.
     """
     tendons = digit.tendons
     arms = digit.moment_arms
@@ -98,7 +99,8 @@ def _tensions_with_friction(model: HandModel, digit: DigitModel, required: Vecto
     high = model.ceiling[tendons]
     reduced = (arms * factors) @ digit.coupling
     tension, _ = allocate_tension(reduced, required @ digit.coupling, low, high)
-    # The control law divides by this mean over the pulleys.
+    # The control law divides by the mean efficiency over the pulleys, so the tensions are
+    # multiplied by it here.
     weights = model.pulley_weights[tendons, digit.joints]
     if digit.has_varying_arm:
         weights = np.abs(arms) / np.abs(arms).sum(axis=1, keepdims=True)

@@ -1,8 +1,9 @@
-"""Tensions of tendons that hold each other: those in the null space of (R B)^T make no torque.
+"""Tension control in the null space of (R B)^T, for digits with surplus tendons.
 
-Position feedback acts on the coordinates alone. Within the null space a feedback of tension with an
-integral keeps the tensions at the goal, so that neither motor friction nor an error of length makes
-a tendon slack. Source: Abdallah et al. (2010), tension and joint space of tendon-driven fingers.
+Tensions in this null space make no torque. Position feedback acts on the coordinates only. In the
+null space, a tension feedback with an integral keeps the tensions at their goals, so that neither
+motor friction nor an error of length makes a tendon slack. Source: Abdallah et al. (2010), tension
+and joint space of tendon-driven fingers.
 """
 
 import math
@@ -24,26 +25,28 @@ Matrix = NDArray[np.float64]
 INTEGRAL_LIMIT_N = 8.0
 """Limit of the tension integral, for anti-windup [N]."""
 MAX_ADDED_BALANCE_N = 20.0
-"""Largest tension that the balance adds against the feedback of motion [N].
+"""Largest tension that is added as balance when the motion feedback unloads a tendon [N].
 
-The friction of all pulleys grows with the balance. More of it would lock the joints that the feedback has to move.
+Friction of the pulleys grows with the balance. More balance would lock the joints that the feedback
+has to move.
 """
 
 
 @inner
 def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix) -> None:
-    """Raise the tension goals of moving tendons in surplus above the floor, and write the null-space forces.
+    """Raise the tension goals of moving surplus tendons above the floor, and write the null-space forces.
 
-    The feedback of motion may take more tension off a tendon than the goal has above the floor. The
-    balance of the digit is added to all goals then, which leaves the torque as it is. Feedback that
-    would need more balance than allowed is reduced.
+    The motion feedback may reduce the force on a tendon by more than its tension goal is above the
+    floor. Then the balance of the digit is added to all goals, which does not change the torque.
+    Feedback that would need more balance than allowed is reduced.
 
     Args:
         x: state tables.
         c: constants of the hand.
         limit: (N,) present tension limits [N].
         terms: (2, N) tension goal and feedback of motion [N], modified in place.
-        internal: (2, N) result: force by the error in the null space, and the integral of this error [N].
+        internal: (2, N) result: force by the error in the null space, and the integral of this
+            error [N].
     """
     count = x.tendon.shape[1]
     error = np.zeros(count)
@@ -52,23 +55,24 @@ def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: 
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
         end = c.digit_int[h.TENDONS_END, d]
-        if not c.tendon_int[h.REDUNDANT, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
+        if not c.tendon_int[h.HAS_SURPLUS, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
             continue
         for n in range(first, end):
-            # The null-space part of the feedback damps the rotors. It must not raise the goal against itself.
+            # Only the part that moves the digit counts. The null-space part damps the rotors, and
+            # must not raise goals.
             feedback[n] = part_explained_by_motion(c, n, terms[1])
         bound = _largest_balance_factor(c, first, end, limit, terms)
         fraction = _fraction_of_feedback(c, first, end, bound, terms, feedback)
         more = 0.0
         for n in range(first, end):
             terms[1, n] -= (1.0 - fraction) * feedback[n]
-            lacking = c.tendon[h.FLOOR, n] - terms[0, n] - fraction * feedback[n]
-            more = max(more, lacking / c.tendon[h.BALANCE, n])
+            lacking = c.tendon[h.TENSION_FLOOR, n] - terms[0, n] - fraction * feedback[n]
+            more = max(more, lacking / c.tendon[h.BALANCE_TENSION, n])
         more = min(more, bound)
         for n in range(first, end):
-            terms[0, n] += more * c.tendon[h.BALANCE, n]
+            terms[0, n] += more * c.tendon[h.BALANCE_TENSION, n]
             error[n] = terms[0, n] - x.tendon[s.TENSION, n]
-            total[n] = x.tendon[s.INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
+            total[n] = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
         for n in range(first, end):
             internal[0, n] = c.tendon[h.TENSION_GAIN, n] * (error[n] - part_explained_by_motion(c, n, error))
             integral = total[n] - part_explained_by_motion(c, n, total)
@@ -80,8 +84,8 @@ def _largest_balance_factor(c: ConstantTables, first: int, end: int, limit: Vect
     """Return the largest factor of the balance that keeps all tendons of a digit within the limits."""
     factor = math.inf
     for n in range(first, end):
-        room = min(c.tendon[h.CEILING, n], limit[n]) - terms[0, n]
-        factor = min(factor, min(max(room, 0.0), MAX_ADDED_BALANCE_N) / c.tendon[h.BALANCE, n])
+        room = min(c.tendon[h.TENSION_CEILING, n], limit[n]) - terms[0, n]
+        factor = min(factor, min(max(room, 0.0), MAX_ADDED_BALANCE_N) / c.tendon[h.BALANCE_TENSION, n])
     return factor
 
 
@@ -100,7 +104,7 @@ def _fraction_of_feedback(
     """
     fraction = 1.0
     for n in range(first, end):
-        above = terms[0, n] + bound * c.tendon[h.BALANCE, n] - c.tendon[h.FLOOR, n]
+        above = terms[0, n] + bound * c.tendon[h.BALANCE_TENSION, n] - c.tendon[h.TENSION_FLOOR, n]
         if feedback[n] < -max(above, 0.0):
             fraction = min(fraction, max(above, 0.0) / -feedback[n])
     return fraction

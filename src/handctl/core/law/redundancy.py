@@ -1,9 +1,9 @@
 """Digits without return springs, and digits with more tendons than coordinates.
 
-An antagonist returns such a digit. Its tendons hold each other: a vector of tensions in the null
-space of (R B)^T, all above the floor, makes no torque. This vector is the balance of the digit. A
-digit with n + 1 tendons has a null space of one dimension, a digit with 2 n tendons one of n
-dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
+Antagonistic tendons return such a digit. Its tendons act against each other: a vector of tensions
+in the null space of (R B)^T, all above the floor, makes no torque. This vector is the balance of
+the digit. For n coordinates, a digit with n + 1 tendons has a null space of one dimension, and a
+digit with 2 n tendons has one of n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from handctl.hand.moment_arms import excursions_at
 
 Flags = NDArray[np.bool_]
 MISSING_FRACTION = 1e-3
-"""Largest torque of a balance, as a fraction of the torque of its largest tension at the mean moment arm."""
+"""Largest remaining torque of a balance, as a fraction of its largest tension times the mean moment arm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +26,12 @@ class Redundancy:
     """Directions and balance of the N tendons of a hand, each (N,).
 
     Attributes:
-        side: 1 for a tendon that pays in while its digit closes, -1 for one that pays out, 0 for a
+        side: 1 for a tendon that is wound while its digit closes, -1 for one that pays out, 0 for a
             spool pair that moves its digit sideways.
         sprung: True if springs return the tendon's digit to its lower joint limits.
         surplus: True for a tendon of a digit with more tendons than coordinates.
-        balance: smallest tensions, all above the floor, without torque. 0 without surplus [N].
+        balance: smallest tensions that are all above the floor and make no torque, 0 without
+            surplus [N].
         open_excursion: excursion at the lower joint limits [m].
         excursion_range: (2, N) smallest and largest excursion within the joint limits [m].
     """
@@ -93,7 +94,7 @@ def is_sprung(digit: DigitModel) -> bool:
 
 
 def _balance_tensions(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
-    """Return the balance of a digit (n_t,) [N], the floor if its tendons cannot hold each other."""
+    """Return the balance of a digit (n_t,) [N], or the floor if no tensions within the bounds make no torque."""
     arms = digit.reduced_moment_arms
     tension, missing = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)
     bearable = MISSING_FRACTION * float(tension.max() * np.abs(arms).mean())

@@ -1,4 +1,4 @@
-"""Reference of each digit at an instant, and the joint torque of the motion."""
+"""Reference of each digit in a tick, and the joint torques and tensions that its motion requires."""
 
 import math
 
@@ -26,12 +26,13 @@ NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 
 @inner
 def follow_trajectories(x: Tables, c: ConstantTables, frozen: bool) -> None:
-    """Write position, rate and acceleration of every coordinate on a trajectory, 0 for the others.
+    """Write position, rate and acceleration of every coordinate on its trajectory, 0 without a trajectory.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        frozen: True while safety holds: the position on the trajectory is the goal, the speed is 0.
+        frozen: True while safety holds the hand. The digits then rest at their positions on the
+            trajectory.
 
     Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
     """
@@ -73,7 +74,7 @@ def _add_blend(x: Tables, k: int, after: float, blend: float) -> None:
         x: state tables.
         k: index of the coordinate.
         after: time since the start of the move [s].
-        blend: duration of this part [s].
+        blend: time in which the earlier motion fades [s].
     """
     speed = x.coordinate[s.TRAJECTORY_START_SPEED, k]
     bend = x.coordinate[s.TRAJECTORY_START_ACCELERATION, k]
@@ -104,7 +105,7 @@ def joint_trajectories(x: Tables, c: ConstantTables) -> Matrix:
 
 @inner
 def is_digit_moving(x: Tables, c: ConstantTables, d: int) -> bool:
-    """Return True if a digit moves along a trajectory, or a spool pair of it holds its position."""
+    """Return True if at least one tendon of a digit follows a trajectory."""
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
         if x.tendon_int[s.GOAL_KIND, n] == MOTION:
             return True
@@ -114,12 +115,12 @@ def is_digit_moving(x: Tables, c: ConstantTables, d: int) -> bool:
 @inner
 def is_tendon_streamed(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if the digit of a tendon follows streamed angles."""
-    return bool(x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] == STREAMED)
+    return bool(x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] == STREAMED)
 
 
 @inner
 def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
-    """Write the joint torques of the motion: inverse dynamics, springs and damping.
+    """Write the joint torques that the trajectories require: inverse dynamics, springs and damping.
 
     Args:
         x: state tables.
@@ -139,15 +140,15 @@ def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
                 for j in range(first, end):
                     motion[order, j] = way[order, j]
         else:
-            # A digit without a trajectory rests where it is.
+            # A digit without a trajectory rests at its estimated angles.
             for j in range(first, end):
                 motion[0, j] = x.joint[s.Q, j]
     if not moving:
         return
-    parent = c.joint_int[h.PARENT]
+    parent = c.joint_int[h.PARENT_JOINT]
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
-    write_newton_euler(c.joint, h.LINK, parent, gravity, motion[0], motion[1], motion[2], torque)
-    if c.run_int[h.HAND_PASSED]:
+    write_newton_euler(c.joint, h.LINK_TABLE, parent, gravity, motion[0], motion[1], motion[2], torque)
+    if c.run_int[h.HAS_CARRIER_ARMS]:
         winding = np.zeros(x.tendon.shape[1])
         for n in range(len(winding)):
             winding[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED)
@@ -155,8 +156,8 @@ def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
     for d in range(x.digit.shape[1]):
         if is_digit_moving(x, c, d):
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-                spring = c.joint[h.SPRING, j] * (motion[0, j] + c.joint[h.PRELOAD, j])
-                x.joint[s.JOINT_REQUIRED, j] = torque[j] + spring + c.joint[h.JOINT_DAMPING, j] * motion[1, j]
+                spring = c.joint[h.SPRING_STIFFNESS, j] * (motion[0, j] + c.joint[h.SPRING_PRELOAD, j])
+                x.joint[s.REQUIRED_JOINT_TORQUE, j] = torque[j] + spring + c.joint[h.JOINT_DAMPING, j] * motion[1, j]
 
 
 @inner
@@ -164,8 +165,11 @@ def write_required_tensions(x: Tables, c: ConstantTables) -> int:
     """Write the tensions at the joints for the required joint torques.
 
     Returns:
-        A bit for each digit with tensions out of bounds, or not unique: the bounded least-squares
-            problem decides (``allocation``). A single tendon is already optimal at the bound.
+        A number with a bit for each digit whose tensions are out of bounds, or not unique. For
+        these digits
+            the bounded least-squares problem of ``allocation`` must be solved. A single tendon out
+            of bounds
+            is optimal at the bound, so its digit has no bit.
     """
     undecided = 0
     for d in range(x.digit.shape[1]):
@@ -173,16 +177,18 @@ def write_required_tensions(x: Tables, c: ConstantTables) -> int:
         end = c.digit_int[h.TENDONS_END, d]
         good = True
         for n in range(first, end):
-            x.tendon[s.LOAD, n] = 0.0
+            x.tendon[s.REQUIRED_TENSION, n] = 0.0
             if not is_digit_moving(x, c, d):
                 continue
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-                x.tendon[s.LOAD, n] += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * x.joint[s.JOINT_REQUIRED, j]
-            low = c.tendon[h.FLOOR, n]
-            high = c.tendon[h.CEILING, n]
-            good &= c.tendon_int[h.EXACT, n] == 1 and low <= x.tendon[s.LOAD, n] <= high
+                x.tendon[s.REQUIRED_TENSION, n] += (
+                    c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * x.joint[s.REQUIRED_JOINT_TORQUE, j]
+                )
+            low = c.tendon[h.TENSION_FLOOR, n]
+            high = c.tendon[h.TENSION_CEILING, n]
+            good &= c.tendon_int[h.HAS_UNIQUE_TENSIONS, n] == 1 and low <= x.tendon[s.REQUIRED_TENSION, n] <= high
             if end - first == 1:
-                x.tendon[s.LOAD, n] = min(max(x.tendon[s.LOAD, n], low), high)
+                x.tendon[s.REQUIRED_TENSION, n] = min(max(x.tendon[s.REQUIRED_TENSION, n], low), high)
         if not good and end - first > 1:
             undecided |= 1 << d
     return undecided

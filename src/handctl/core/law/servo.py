@@ -1,24 +1,25 @@
 """Commands to drives that close the position loop of a moving digit by themselves.
 
-A command has a position p_d, a velocity v_d, stiffness kp, damping kd and a torque t. The drive
-makes the torque
+A command has a position p_d, a velocity v_d, a stiffness kp, a damping kd and a torque t. Many
+times within a tick, the drive computes its torque from its own measured position p and velocity v:
 
     kp (p_d - p) + kd (v_d - v) + t
 
-many times within a tick, with its own p and v. The position is the planned excursion s_d, plus the
-stretch of the tendon under its planned tension f_0, plus the estimated offset o of the stretch:
+The commanded position is the planned excursion s_d, plus the stretch of the tendon under its
+planned tension f_0, plus the estimated stretch offset o, all divided by the spool's radius r. The
+stiffness of the tendon is k, and f_hat is its estimated tension:
 
     r p_d = s_d + f_0 / k + o
     r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k      by f_hat = k (r p - s - o)
 
-The controller does not know the torque that the drive will make. It predicts the mean over the
+The controller does not know the torque that the drive will make. It predicts the mean torque of the
 coming period from the estimated p and v, half a period ahead, and limits this torque as in torque
-control. The position is then moved so that the drive would make the limited torque. So the position
-never leads the motor by more than the limits allow.
+control. The commanded position is then chosen so that the drive would make the limited torque. So
+the position never leads the motor by more than the limits allow.
 
-kp and kd are 0, and t is the whole torque, unless a digit moves freely under the program: not while
-it presses on something, relaxes, is held by safety, or winds up slack, and not in a tick without a
-position of the motor.
+Only a digit that moves freely under the program has kp and kd above 0. Otherwise t is the whole
+torque. This is so while the digit touches an object, relaxes, is held by safety, or winds up slack,
+and in a tick without a measured position of the motor.
 """
 
 import math
@@ -35,27 +36,27 @@ from handctl.core.law.reference import MOTION
 ACTIVE = 4
 """Number of ``core.types.Mode.ACTIVE``."""
 MAX_PHASE_RAD = 0.3
-"""Largest phase of a drive's loop in a control period: natural frequency times period [rad].
+"""Largest natural frequency of a drive's loop times the control period [rad].
 
-The filter takes the motor force as constant within a period. In simulation, stiffer loops
-oscillated: 0.5 rad on ``jamia`` at 100 Hz and on ``orca_like`` at 250 Hz.
+The filter assumes that the motor force is constant within a period. In simulation, stiffer loops
+oscillated, for example at 0.5 rad on ``jamia`` at 100 Hz and on ``orca_like`` at 250 Hz.
 """
-NUMBERS = 5
+COMMAND_ROWS = 5
 """Number of rows of a command: position, velocity, kp, kd, torque."""
 
 
 @inner
 def begin_servo_commands(x: Tables) -> None:
-    """Store the commands of the last tick, and begin with commands of nothing."""
+    """Store the commands of the last tick, and set the commands of this tick to 0."""
     for n in range(x.servo.shape[1]):
-        for row in range(NUMBERS):
+        for row in range(COMMAND_ROWS):
             x.servo[s.SERVO_BEFORE + row, n] = x.servo[s.SERVO_POSITION + row, n]
             x.servo[s.SERVO_POSITION + row, n] = 0.0
 
 
 @inner
 def command_torque_only(x: Tables, n: int) -> None:
-    """Replace the command of a drive by its torque alone. The hand must have the servo table."""
+    """Replace the command of a drive by a torque command. The hand must have the servo table."""
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
 
@@ -63,25 +64,25 @@ def command_torque_only(x: Tables, n: int) -> None:
 @inner
 def is_loop_closed_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if the drive of a tendon closes the position loop in this tick."""
-    if not c.tendon_int[h.SERVO, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
+    if not c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
         return False
     if x.run_int[s.MODE] != ACTIVE or x.run_int[s.HOLDING]:
         return False
-    d = c.tendon_int[h.DIGIT, n]
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     if (
         x.digit_int[s.BLOCKED, d]
         or x.digit_int[s.PLANNED_CONTACT, d]
         or math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
     ):
         return False
-    return (c.tendon_int[h.PAIR, n] == 1 or x.tendon_int[s.REGIME, n] != SLACK) and servo_stiffness(
+    return (c.tendon_int[h.IS_SPOOL_PAIR, n] == 1 or x.tendon_int[s.REGIME, n] != SLACK) and servo_stiffness(
         x, c, n
     ) > 0.0
 
 
 @inner
 def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return kp as the drive can have it [N m/rad]."""
+    """Return kp for the present goal, rounded to the resolution of the command [N m/rad]."""
     step = c.tendon[h.SERVO_KP_STEP, n]
     wanted = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
     return step * math.floor(wanted / step + 0.5)
@@ -89,7 +90,7 @@ def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return kd as the drive can have it [N m s/rad]."""
+    """Return kd for the present goal, rounded to the resolution of the command [N m s/rad]."""
     step = c.tendon[h.SERVO_KD_STEP, n]
     return step * math.floor(
         x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n] / step + 0.5
@@ -98,18 +99,18 @@ def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def servo_speed_force(x: Tables, c: ConstantTables, n: int, rate: float) -> float:
-    """Return the mean force of the drive's loop over the coming period by the error of speed [N].
+    """Return the part of the drive loop's mean force in the coming period that the speed error makes [N].
 
-    Within half a period, an error of speed changes the error of position.
+    The speed error also changes the position error within the period, on average for half a period.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        rate: of the digit's excursion on the trajectory [m/s].
+        rate: rate of the digit's excursion on the trajectory [m/s].
     """
     gain = servo_damping(x, c, n) + 0.5 * c.run[h.PERIOD] * servo_stiffness(x, c, n)
-    return gain / (c.tendon[h.SPOOL, n] * c.tendon[h.SPOOL, n]) * (rate - x.tendon[s.SPEED, n])
+    return gain / (c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n]) * (rate - x.tendon[s.SPEED, n])
 
 
 @inner
@@ -122,16 +123,16 @@ def servo_force(
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        excursion: of the digit on the trajectory [m].
-        rate: its rate [m/s].
+        excursion: excursion of the digit on the trajectory [m].
+        rate: rate of the digit's excursion on the trajectory [m/s].
         tension: planned tension at the load cell [N].
     """
     error = (
         excursion
         - x.tendon[s.EXCURSION, n]
-        + (tension - x.tendon[s.TENSION, n]) / c.tendon[h.STIFFNESS, n]
+        + (tension - x.tendon[s.TENSION, n]) / c.tendon[h.TENDON_STIFFNESS, n]
     )
-    stiffness = servo_stiffness(x, c, n) / (c.tendon[h.SPOOL, n] * c.tendon[h.SPOOL, n])
+    stiffness = servo_stiffness(x, c, n) / (c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n])
     return stiffness * error + servo_speed_force(x, c, n, rate)
 
 
@@ -145,22 +146,23 @@ def write_servo_command(
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        rate: of the digit's excursion on the trajectory [m/s].
-        feedforward: force without the drive's loop [N].
-        force: limited force, that of the loop included [N].
+        rate: rate of the digit's excursion on the trajectory [m/s].
+        feedforward: motor force without the force of the drive's loop [N].
+        force: limited motor force, with the force of the drive's loop [N].
     """
-    spool = c.tendon[h.SPOOL, n]
+    spool = c.tendon[h.SPOOL_RADIUS, n]
     kp = servo_stiffness(x, c, n)
-    added = min(max(feedforward, c.tendon[h.UNWIND, n]), c.tendon[h.LIMIT, n])
+    added = min(max(feedforward, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
     lead = (force - added - servo_speed_force(x, c, n, rate)) * spool * spool / kp
     travel = x.tendon[s.TRAVEL, n]
     speed = rate
-    if c.run_int[h.HAND_PASSED]:
-        # The carriers move as they do. Position and speed follow them, and their errors are not those of the digit.
+    if c.run_int[h.HAS_CARRIER_ARMS]:
+        # Position and speed follow the estimated motion of the carriers, so that errors of the
+        # carriers have no effect.
         travel += carrier_excursion(c, n, x.joint[s.Q])
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     travel += lead + 0.5 * c.run[h.PERIOD] * speed
-    x.servo[s.SERVO_POSITION, n] = travel / spool + c.tendon[h.ZERO, n]
+    x.servo[s.SERVO_POSITION, n] = travel / spool + c.tendon[h.MOTOR_ZERO, n]
     x.servo[s.SERVO_VELOCITY, n] = speed / spool
     x.servo[s.SERVO_KP, n] = kp
     x.servo[s.SERVO_KD, n] = servo_damping(x, c, n)
@@ -171,8 +173,8 @@ def write_servo_command(
 def predict_reports(x: Tables, c: ConstantTables) -> None:
     """Write the force that each drive of the servo table should report in this tick [N].
 
-    A drive reports position, speed and torque of an instant in which it obeyed the command before
-    the last. The torque follows from all of them.
+    A drive reports position, speed and torque of one instant, at which it obeyed the command before
+    the last. The expected torque follows from this command and the reported position and speed.
     """
     for n in range(x.servo.shape[1]):
         torque = x.servo[s.SERVO_BEFORE + 4, n]
@@ -182,10 +184,10 @@ def predict_reports(x: Tables, c: ConstantTables) -> None:
             torque += x.servo[s.SERVO_BEFORE + 3, n] * (
                 x.servo[s.SERVO_BEFORE + 1, n] - x.tendon[s.VELOCITY, n]
             )
-        limit = c.tendon[h.LIMIT, n]
+        limit = c.tendon[h.FORCE_MAX, n]
         known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(
             x.tendon[s.MEASURED_FORCE, n]
         )
         x.servo[s.SERVO_REPORT, n] = (
-            min(max(torque / c.tendon[h.SPOOL, n], -limit), limit) if known else math.nan
+            min(max(torque / c.tendon[h.SPOOL_RADIUS, n], -limit), limit) if known else math.nan
         )

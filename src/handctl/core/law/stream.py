@@ -1,13 +1,14 @@
 """Motion along streamed targets: interpolation to the latest target, then limits on speed and acceleration.
 
-A segment is a polynomial of time per coordinate. It leads from the reference at the arrival of a
-target to the target. After the end of a segment the target holds. Nothing is extrapolated.
+A segment is a polynomial of time for each coordinate. It leads from the reference at the arrival of
+a target to this target. After the end of a segment the reference stays at the target. Targets are
+not extrapolated.
 
-The reference follows the segment exactly as long as this needs no more than the limits allow. Beyond
-the limits it approaches the target as fast as it can meet the rate of the targets there. The range of a
-joint bounds its speed in the same way, so that a motion never runs over the end of the range. The
-reference never leads the digit by more than a few degrees. It waits for a digit that is held, and
-follows a digit that is pushed away.
+The reference follows the segment exactly if speed and acceleration stay within their limits.
+Otherwise it approaches the target as fast as the limits allow, so that it arrives with the rate of
+the targets. The range of a joint limits the speed in a similar way, so that a motion stops before
+the end of the range. The reference never leads the digit by more than ``MAX_LEAD``. It waits for a
+digit that is held, and follows a digit that is pushed away.
 """
 
 import math
@@ -21,14 +22,15 @@ from handctl.core.schema import Block, Places
 from handctl.core.types import Vector
 
 MAX_LEAD = math.radians(8.0)
-"""Largest lead of the reference over the estimated digit [rad], at the full stiffness of the gains.
+"""Largest distance of the reference from the estimated digit [rad], at the full stiffness of the gains.
 
-A digit that an object holds stays within it. The reference waits, so that the digit does not leap when it is free.
+If an object holds the digit, the reference waits at this distance, so that the digit does not jump
+when it is free.
 """
 MIN_STIFFNESS = 0.05
-"""Smallest stiffness fraction that divides the lead: a softer digit may be pushed away further."""
+"""Smallest stiffness fraction by which the largest distance is divided. A softer digit may be pushed away further."""
 TOLERANCE = 1e-9
-"""Fraction by which a number may exceed a limit, for rounding."""
+"""Relative tolerance of the limits, for rounding."""
 CLIP_TOLERANCE = 1e-9
 """Smallest difference from the requested value that counts as clipping [rad, N]."""
 
@@ -134,7 +136,7 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
         d: index of the digit.
         k: index of the coordinate.
     """
-    period = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED])
+    period = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     position = x.coordinate[s.TRAJECTORY, k]
     rate = x.coordinate[s.TRAJECTORY + 1, k]
     gain = c.run[h.STREAM_ACCELERATION] * period
@@ -143,7 +145,8 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
     aim, aim_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SINCE] + x.run[s.STREAM_DURATION] - now, 0.0)
     end_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
-    # A point that reaches the target at the end of the segment, at the rate of the targets.
+    # This point moves with the rate of the targets, and reaches the target at the end of the
+    # segment.
     point = x.coordinate[s.STREAM_TARGET, k] - end_rate * remaining
     mean = (aim - position) / period
     allowed = gain * (1.0 + TOLERANCE)
@@ -164,7 +167,7 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
 
 @inner
 def _allowed_rates(x: Tables, c: ConstantTables, d: int, k: int, period: float) -> tuple[float, float]:
-    """Return the lowest and the highest rate of a reference [rad/s], by speed, range, and distance from the digit.
+    """Return the lowest and the highest rate of a reference [rad/s], by speed limit, range, and distance to the digit.
 
     Args:
         x: state tables.
@@ -188,7 +191,7 @@ def _allowed_rates(x: Tables, c: ConstantTables, d: int, k: int, period: float) 
 
 @inner
 def _estimated_coordinate(x: Tables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
-    """Return the estimated coordinate [rad] of a digit and its rate [rad/s]: the mean of the joints that it moves."""
+    """Return the estimate of a digit's coordinate [rad] and of its rate [rad/s], by the joints that it moves."""
     position = rate = total = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         coupling = c.joint_coordinate[h.COUPLING, j, k]
@@ -200,7 +203,7 @@ def _estimated_coordinate(x: Tables, c: ConstantTables, d: int, k: int) -> tuple
 
 @inner
 def _speed_to(distance: float, gain: float, period: float) -> float:
-    """Return the largest speed towards a point at a signed distance [rad], with a stop there [rad/s]."""
+    """Return the largest speed towards a point at a signed distance [rad] from which a motion stops there [rad/s]."""
     return math.copysign(max_stoppable_speed(abs(distance), gain, period), distance)
 
 

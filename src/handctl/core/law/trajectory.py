@@ -18,23 +18,25 @@ class Trajectory(Protocol):
         ...
 
     def at(self, t: float) -> Vector:
-        """Return (3, n): position [rad], velocity [rad/s] and acceleration [rad/s^2] at t [s].
+        """Return (3, n): position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s].
 
-        The end position holds later.
+        After the end the digit rests at the end position.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Blend:
-    """The part of a move that continues an earlier motion and fades.
+    """Part of a move that continues an earlier motion and fades.
 
-    Two quintics, each with one derivative of 1 at the start, and all others 0 at both ends.
+    It is the sum of two quintics. The first has a rate of 1 at the start, the second an
+    acceleration of 1. All their other derivatives up to the second are 0 at the start and at the
+    end.
 
     Attributes:
         speed: (n,) rate at t = 0 [rad/s].
         acceleration: (n,) acceleration at t = 0 [rad/s^2].
-        duration: [s], > 0.
+        duration: time in which the part fades [s], > 0.
     """
 
     speed: Vector
@@ -42,7 +44,7 @@ class Blend:
     duration: float
 
     def at(self, t: float) -> Vector:
-        """Return (3, n): position [rad], velocity [rad/s] and acceleration [rad/s^2] to add at t [s]."""
+        """Return (3, n) the added position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s]."""
         T = self.duration
         s = min(max(t / T, 0.0), 1.0)
         by_speed = np.array((
@@ -67,8 +69,8 @@ class MinimumJerk:
     Attributes:
         start: (n,) coordinates at t = 0 [rad].
         end: (n,) coordinates at t = duration [rad].
-        duration: [s], > 0.
-        blend: motion at the start, None at rest.
+        duration: duration of the move [s], > 0.
+        blend: part that continues an earlier motion, None if the move starts at rest.
     """
 
     start: Vector
@@ -77,7 +79,7 @@ class MinimumJerk:
     blend: Blend | None = None
 
     def at(self, t: float) -> Vector:
-        """Evaluate the move, see ``Trajectory``."""
+        """Return (3, n) the motion at time t, see ``Trajectory.at``."""
         s = min(max(t / self.duration, 0.0), 1.0)
         position = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         velocity = 30.0 * s * s * (1.0 - s) * (1.0 - s) / self.duration
@@ -89,7 +91,7 @@ class MinimumJerk:
 
 @dataclass(frozen=True, slots=True)
 class Streamed:
-    """A motion along targets of a client. The state block has the targets, and compiled code follows them.
+    """A motion along streamed targets of a client. The targets are in the state block.
 
     Attributes:
         duration: 0 [s], because the end is unknown.
@@ -103,9 +105,9 @@ class Curve:
     """A cubic spline through points, at rest at both ends: one for all coordinates of the digit, or one for each.
 
     Attributes:
-        times: (k,) of the points, rising from 0 [s].
-        coefficients: (4, k - 1) of the cubic in each piece, highest power first [rad/s^3 .. rad], or
-            (4, k - 1, n) with a cubic for each coordinate.
+        times: (k,) times of the points, rising from 0 [s].
+        coefficients: (4, k - 1) coefficients of the cubic in each piece, highest power first
+            [rad/s^3 .. rad], or (4, k - 1, n) with a cubic for each coordinate.
         coordinates: number of the digit's coordinates.
     """
 
@@ -127,7 +129,7 @@ class Curve:
         return float(self.times[-1])
 
     def at(self, t: float) -> Vector:
-        """Evaluate the curve, see ``Trajectory``."""
+        """Return (3, n) the motion at time t, see ``Trajectory.at``."""
         held = min(max(t, 0.0), self.duration)
         piece = min(int(np.searchsorted(self.times, held, side="right")) - 1, len(self.times) - 2)
         s = held - float(self.times[piece])
@@ -142,7 +144,7 @@ class Curve:
         return _equal_coordinates(values, self.coordinates)
 
     def peak_speed(self) -> float:
-        """Return the peak speed [rad/s], at the ends of a piece or at zero acceleration."""
+        """Return the peak speed [rad/s]. It is at an end of a piece, or at zero acceleration."""
         a, b, c, _ = self.coefficients
         length = np.diff(self.times).reshape(-1, *(1,) * (a.ndim - 1))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -157,8 +159,8 @@ class Sample:
 
     Attributes:
         position: (n,) coordinates [rad].
-        velocity: (n,) [rad/s].
-        acceleration: (n,) [rad/s^2].
+        velocity: (n,) rates of the coordinates [rad/s].
+        acceleration: (n,) accelerations of the coordinates [rad/s^2].
         duration: 0 [s], because the end is unknown.
     """
 
@@ -168,7 +170,7 @@ class Sample:
     duration: float = 0.0
 
     def at(self, t: float) -> Vector:
-        """Return the sample, independent of time. See ``Trajectory``."""
+        """Return (3, n) the sample, whatever the time. See ``Trajectory.at``."""
         return np.array((self.position, self.velocity, self.acceleration))
 
 
@@ -177,11 +179,11 @@ class Chirp:
     """An oscillation about an angle with linearly rising frequency, and smooth growth and decay of the amplitude.
 
     Attributes:
-        centre: [rad].
-        amplitude: [rad].
+        centre: mean angle [rad].
+        amplitude: largest amplitude [rad].
         low: frequency at the start [Hz].
         high: frequency at the end [Hz].
-        duration: [s].
+        duration: duration of the oscillation [s].
         coordinates: number of the digit's coordinates, all with the same motion.
     """
 
@@ -193,7 +195,7 @@ class Chirp:
     coordinates: int
 
     def at(self, t: float) -> Vector:
-        """Evaluate the oscillation, see ``Trajectory``."""
+        """Return (3, n) the motion at time t, see ``Trajectory.at``."""
         s = min(max(t, 0.0), self.duration)
         size, growth, bend = self._envelope(s)
         rise = 2.0 * math.pi * (self.high - self.low) / self.duration
@@ -209,7 +211,7 @@ class Chirp:
         return _equal_coordinates(values, self.coordinates)
 
     def _envelope(self, t: float) -> tuple[float, float, float]:
-        """Return the amplitude factor at t [s], the rate [1/s] and the acceleration [1/s^2], smooth at both ends."""
+        """Return the factor of the amplitude at time t [s], its rate [1/s] and its acceleration [1/s^2]."""
         ramp = 0.1 * self.duration
         left = min(t, self.duration - t)
         if left >= ramp:
@@ -220,7 +222,7 @@ class Chirp:
 
 
 def _equal_coordinates(values: tuple[float, float, float], coordinates: int) -> Vector:
-    """Return (3, n) of a motion with equal coordinates."""
+    """Return position, rate and acceleration of a motion with n equal coordinates, (3, n)."""
     return np.array([[value] * coordinates for value in values])
 
 
@@ -229,5 +231,8 @@ PEAK_SPEED = 1.875
 
 
 def duration_for(distance: float, speed: float, shortest: float) -> float:
-    """Return the duration of a move of ``distance`` [rad] with a peak speed [rad/s], at least ``shortest`` [s]."""
+    """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with peak speed ``speed`` [rad/s].
+
+    It is at least ``shortest`` [s].
+    """
     return max(PEAK_SPEED * abs(distance) / speed, shortest)

@@ -18,7 +18,7 @@ COEFFICIENTS = 6
 NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """Valid names of digits, tendons, motors, and buses."""
 UNMEASURED = "TODO"
-"""Value that stands for one that has to be measured or chosen yet. No key accepts it."""
+"""Placeholder for a value that is not measured or chosen yet. No key accepts it."""
 
 
 def validation_error(right: str) -> PydanticCustomError:
@@ -28,10 +28,10 @@ def validation_error(right: str) -> PydanticCustomError:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """Validation of a kind of value: pydantic calls the check first, and editors get the schema.
+    """Validation of a kind of value. Pydantic calls the check, and editors use the schema.
 
     Attributes:
-        check: returns the valid value, or raises.
+        check: function that returns the valid value, or raises an error.
         schema: JSON Schema of the valid values.
     """
 
@@ -68,7 +68,7 @@ class Range:
         right = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise validation_error(right)
-        # Negated, so that NaN is refused.
+        # The comparison is negated, so that NaN is refused.
         if not self.low <= value <= self.high:
             raise validation_error(f"{right} ({self.hint})" if self.hint and value > self.high else right)
         return float(value)
@@ -89,7 +89,7 @@ def whole_in_range(low: int, high: int) -> Checked:
     """Return the validation of an integer within [low, high]."""
 
     def check(value: Any) -> int:
-        """Return the value."""
+        """Return the value if it is valid."""
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             raise validation_error(f"a whole number from {low} to {high}")
         return value
@@ -101,7 +101,7 @@ def one_of(*words: str) -> Checked:
     """Return the validation of one of some words."""
 
     def check(value: Any) -> str:
-        """Return the value."""
+        """Return the value if it is one of the words."""
         if not isinstance(value, str) or value not in words:
             raise validation_error(" or ".join(f'"{word}"' for word in words))
         return value
@@ -110,31 +110,31 @@ def one_of(*words: str) -> Checked:
 
 
 def _check_direction(value: Any) -> int:
-    """Validate 1 or -1."""
+    """Return a valid direction, which is 1 or -1."""
     if isinstance(value, bool) or not isinstance(value, int) or value not in (1, -1):
         raise validation_error("1 or -1")
     return value
 
 
 def _check_name(value: Any) -> str:
-    """Validate a name."""
+    """Return a valid name."""
     if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value) or value == UNMEASURED:
         raise validation_error("a name of letters, digits and _ that begins with a letter")
     return value
 
 
 def _check_text(value: Any) -> str:
-    """Validate a string."""
+    """Return a valid string."""
     if not isinstance(value, str):
         raise validation_error("a string")
     return value
 
 
 def _check_options(value: Any) -> dict[str, bool | int | float | str]:
-    """Validate a table of finite numbers, strings, and booleans."""
+    """Return a valid table of finite numbers, strings, and booleans."""
     if not isinstance(value, dict):
         raise validation_error("a table")
-    # Negated comparison: NaN and infinity are refused.
+    # The comparison is negated, so that NaN and infinity are refused.
     for key, entry in value.items():
         if not isinstance(entry, bool | int | float | str) or (isinstance(entry, float) and not abs(entry) < 1e300):
             raise validation_error(f"finite numbers, strings and booleans; {key} is none of them")
@@ -176,17 +176,17 @@ def number_or_list(number: Range, entry: Range, *counts: int) -> Checked:
 
 
 MOMENT_ARM_RANGE = Range(-0.05, 0.05, "m", "in metres?")
-"""Moment arms of tendons at joints."""
+"""Range of a constant moment arm of a tendon at a joint."""
 
 
 ARM_FORMS = "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }"
 """Forms of a moment arm that depends on the joint angle."""
 MAX_TABLE = 1000
-"""Largest number of entries of a table of moment arms."""
+"""Largest number of entries in a table of moment arms."""
 
 
 def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
-    """Validate a moment arm: a number, a polynomial, or a table."""
+    """Return a valid moment arm: a number, a polynomial, or a table."""
     if isinstance(value, list | tuple):
         raise validation_error(f"a number from {MOMENT_ARM_RANGE.low:g} to {MOMENT_ARM_RANGE.high:g} m, {ARM_FORMS}")
     if not isinstance(value, Mapping):
@@ -209,7 +209,7 @@ def _numbers(values: Any, key: str, least: int, most: int, largest: float) -> tu
     right = f"{least} to {most} numbers from {-largest:g} to {largest:g} in {key}"
     if not isinstance(values, list | tuple) or not least <= len(values) <= most:
         raise validation_error(right)
-    # Negated comparison: NaN is refused.
+    # The comparison is negated, so that NaN is refused.
     if any(isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= largest for one in values):
         raise validation_error(right)
     return tuple(float(one) for one in values)
@@ -246,7 +246,7 @@ SensorProtocol = Annotated[str, one_of("handctl", "cia404")]
 ProcessValue = Annotated[str, one_of("int32", "real32")]
 
 Length = Annotated[float, zero_or_in_range(1e-3, 0.2, "m", "in metres?")]
-"""Length of a link. It is 0 where the axes of two joints meet."""
+"""Length of a link. It is 0 if the axes of two joints intersect."""
 CentreOfMass = Annotated[
     float | tuple[float, float, float],
     number_or_list(Range(0.0, 0.2, "m", "in metres?"), Range(-0.2, 0.2, "m", "in metres?"), 3),
@@ -290,14 +290,14 @@ JointSpeed = Annotated[float, in_range(1.0, 3000.0, "deg/s", "in degrees?")]
 JointAcceleration = Annotated[float, in_range(10.0, 1e6, "deg/s2", "in degrees?")]
 TensionRate = Annotated[float, in_range(1.0, 1e5, "N/s")]
 StaleTime = Annotated[float, in_range(1.0, 60_000.0, "ms", "in milliseconds?")]
-# Limits of the bit rate of CAN, and of the data phase of CAN FD [bit/s].
+# Smallest and largest bit rate of CAN, and of the data phase of CAN FD [bit/s].
 SLOWEST_BUS = 10_000
 FASTEST_BUS = 8_000_000
 Bitrate = Annotated[int, whole_in_range(SLOWEST_BUS, FASTEST_BUS)]
 NodeId = Annotated[int, whole_in_range(1, 0x7F)]
 CanId = Annotated[int, whole_in_range(1, 0x7FF)]
 AmplifierId = Annotated[int, whole_in_range(1, 0x7E)]
-"""Node number of a CANopen device. 0x7F is that of handctl itself."""
+"""Node number of a CANopen device. 0x7F is the number of handctl itself."""
 ChannelCount = Annotated[int, whole_in_range(1, 8)]
 DecimalDigits = Annotated[int, whole_in_range(0, 6)]
 Decimation = Annotated[int, whole_in_range(1, 256)]

@@ -1,6 +1,7 @@
 """Fault declarations.
 
-The modules are imported in the order of the catalogue, because this order numbers the faults.
+The modules are imported in the order of the catalogue, because the order of import numbers the
+faults.
 """
 
-from handctl.safety.faults import bus, node, tendon, host  # noqa: F401, I001 - their order is that of the catalogue
+from handctl.safety.faults import bus, node, tendon, host  # noqa: F401, I001 - the order of the catalogue

@@ -1,6 +1,6 @@
 """Rows B01 to B18: faults of the bus."""
 
-from handctl.safety.action import Action, Release
+from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import (
     ARMING,
     HAND,
@@ -18,7 +18,7 @@ from handctl.safety.limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
 
 WINDOW = 100
 SHORT_WINDOW = 20
-"""Windows in which lost frames and malformed frames are counted [ticks]."""
+"""Number of last ticks in which lost frames are counted, and in which malformed frames are counted [ticks]."""
 HOLD_LOSSES = 20
 RELAX_LOSSES = 40
 """Lost frames within ``WINDOW`` ticks above which the reaction is HOLD, and above which RELAX."""
@@ -27,19 +27,20 @@ MALFORMED_LIMIT = 3
 UNKNOWN_LIMIT = 50.0
 """Number of frames with unknown identifiers per second for a fault."""
 NO_ACKNOWLEDGE_KINDS = ("no acknowledge", "bus error", "protocol")
-"""Texts of the error frames sent when no node on the bus acknowledges."""
+"""Texts of the error frames that an interface reports if no node on the bus acknowledges."""
 
-# Texts of the catalogue's columns for protocols without a direct sign.
+# Texts of the catalogue's columns for protocols that do not show a fault directly.
 _COUNTER = (
     f"{REPLACED}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives by N14, "
     "because their replies have no counter"
 )
 _ORDER = f"{REPLACED}: load cells by their counter (CiA 404 amplifiers have none), drives have no counter"
-_CRC = f"{REPLACED}: no checksum in the payload, but wrong length, NaN and jumps (N05) are detected"
-_BESIDE = f"{LOST}: cyclic messages come in addition to replies"
+_CRC = f"{REPLACED}: by wrong length, NaN and jumps (N05), because payloads have no checksum"
+_BESIDE = f"{LOST}: excess replies look like cyclic messages, which come in addition to replies"
 SILENCE_REASON = (
-    "30 ms of silence, because a busy host is late now and then. While other motors reply it is 4 ticks (B17)"
+    "30 ms of silence, because a busy host is sometimes late. While other motors reply, 4 ticks are enough (B17)"
 )
+"""Reason for the reaction times of B02 and N02."""
 _SILENCE = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} ticks in a row"
 
 declare_row("B01", "one frame lost", ticks=2, required=2)
@@ -91,7 +92,7 @@ declare_row("B06", "duplicate, different bytes", odrive=_BESIDE, ticks=2, requir
 B06 = declare_fault(
     "B06", "a conflicting duplicate frame",
     "A node sends more replies than requests, and the replies have different bytes",
-    Action.RELAX, OPERATOR, NODE, release=Release.OPEN,
+    Action.RELAX, OPERATOR, NODE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Two nodes reply with one identifier, or a second program sends on the bus (masquerade).",
     remedy="Disconnect other programs and nodes, check all identifiers with handctl scan, then start a new run.",
 )  # fmt: skip
@@ -121,7 +122,7 @@ B09 = declare_fault(
 )  # fmt: skip
 
 declare_row("B10", "unknown identifiers", ticks=2, ms=51, required=2,
-    why="counted from the first unknown frame, at one per millisecond. The limit is 51 within a second")  # fmt: skip
+    why="51 unknown frames within a second are the limit. With one frame per millisecond this takes 51 ms")  # fmt: skip
 B10 = declare_fault(
     "B10", "unknown identifiers on the bus",
     f"More than {UNKNOWN_LIMIT:g} frames per second have an unassigned identifier",
@@ -137,7 +138,7 @@ B11A = declare_fault(
     cause="A node or another program sends without pause (babbling idiot).",
     remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
-# Same condition as B11a. The longer debounce makes it the second stage.
+# B11b has the condition of B11a and a longer debounce, which makes it the second stage.
 B11B = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
     Action.CUT, OPERATOR, HAND, debounce=10, name="bus",
@@ -192,8 +193,8 @@ declare_fault(
 )  # fmt: skip
 
 declare_row("B17", "some nodes do not hear", TICK, f"{REPLACED}: no reply for four ticks while others reply",
-    f"{REPLACED}: its cyclic messages continue. Counted losses (B03), or its watchdog (N08) by the heartbeat",
-    f"{REPLACED}: RPDOs are not confirmed. The drive's timeout of the master (N08)",
+    f"{REPLACED}: by counted losses (B03) or by its watchdog (N08), because its cyclic messages continue",
+    f"{REPLACED}: by the drive's timeout of the master (N08), because RPDOs are not confirmed",
     ticks=4, odrive_ms=160, required=4)  # fmt: skip
 B17 = declare_fault(
     "B17", "some nodes do not hear",

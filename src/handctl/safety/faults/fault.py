@@ -1,11 +1,11 @@
-"""Faults and rows of the catalogue, and their declaration.
+"""Types of the faults and of the rows of the fault catalogue, and functions to declare them.
 
-A row of the catalogue describes a possible failure. A fault is a row, or a stage of a row, checked
-in every tick. Each row and each fault is declared once, in the module of its kind: ``bus``,
+A row of the catalogue describes a possible failure. A fault is a row, or a stage of a row, that is
+checked in every tick. Each row and each fault is declared once, in the module of its kind: ``bus``,
 ``node``, ``tendon``, ``host``. The tables in the documents, the deadlines in the campaign, the
-event texts, and the reactions are derived from the declaration.
+event texts, and the reactions are derived from the declarations.
 
-A fault with ``per`` is detected by compiled code in ``core.detectors``. The declaration returns the
+A fault with ``per`` is detected by compiled code in ``core.detectors``. Its declaration returns the
 index for the detector's result: ``evidence[N07, motor]``. A fault with ``reports`` is reported by a
 bus, the host, or the recorder.
 """
@@ -13,13 +13,13 @@ bus, the host, or the recorder.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from handctl.safety.action import Action, Release
+from handctl.safety.action import Action, RelaxMethod
 
 OPERATOR = "by the operator"
 ITSELF = "by itself"
-"""End of a fault: the operator clears a latched fault.
+"""Ways in which a fault ends. The operator clears a latched fault.
 
-Any other fault ends by itself with its cause.
+Any other fault ends by itself when its cause ends.
 """
 
 TENDON = "tendon"
@@ -29,13 +29,13 @@ NODE = "node"
 HAND = "hand"
 """Kinds of fault instances.
 
-``NODE`` includes motors and load cells. ``HAND`` means a single instance.
+``NODE`` includes motors and the sensor node. A fault of ``HAND`` has a single instance.
 """
 
 DETECTED = "detected"
 REPLACED = "replaced"
 LOST = "lost"
-"""Visibility of a fault with a protocol: detected, replaced by a weaker sign, or lost."""
+"""Visibility of a fault with a protocol: detected, detected only by a weaker sign that replaces it, or not visible."""
 TICK = "fault table"
 ARMING = "before arming"
 DRIVE = "the drive itself"
@@ -62,8 +62,9 @@ class CatalogueRow(NamedTuple):
             0 if the catalogue gives no time, for example before torque.
         why: reason if ``ticks`` is larger than ``required``, else empty.
         tested: ``campaign``, or the name of the test that covers the fault.
-        moteus: visibility with moteus, empty if as with MIT, whose drives also answer each command once.
-        robstride: visibility with RobStride, empty if as with MIT.
+        moteus: visibility with moteus. It is empty if it equals ``mit``, because both answer each
+            command once.
+        robstride: visibility with RobStride. It is empty if it equals ``mit``.
     """
 
     id: str
@@ -82,7 +83,7 @@ class CatalogueRow(NamedTuple):
     robstride: str = ""
 
     def visibility(self, protocol: str) -> str:
-        """Return the visibility with a guarded protocol."""
+        """Return the visibility with a protocol, one of ``drives.motor_description.GUARDED``."""
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
@@ -107,7 +108,7 @@ class Fault:
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
         debounce: number of consecutive ticks with the fault after which it counts.
-        release: method of removing the torque in RELAX.
+        relax_method: method of removing the torque if the action is RELAX.
         per: kinds of instances, empty for a reported fault.
         name: name of the single instance of ``HAND``.
         reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
@@ -122,7 +123,7 @@ class Fault:
     cause: str
     remedy: str
     debounce: int = 1
-    release: Release = Release.LOOP
+    relax_method: RelaxMethod = RelaxMethod.LOOP
     per: tuple[str, ...] = ()
     name: str = ""
     reports: tuple[str, ...] = ()
@@ -130,7 +131,7 @@ class Fault:
     @property
     def reaction(self) -> str:
         """Return the text for the reaction in tables, including the method of relaxing."""
-        return self.release.value if self.action == Action.RELAX else self.action.name
+        return self.relax_method.value if self.action == Action.RELAX else self.action.name
 
     @property
     def latched(self) -> bool:
@@ -170,7 +171,7 @@ def declare_fault(
     cause: str,
     remedy: str,
     debounce: int = 1,
-    release: Release = Release.LOOP,
+    relax_method: RelaxMethod = RelaxMethod.LOOP,
     name: str = "",
     reports: tuple[str, ...] = (),
 ) -> int:
@@ -180,7 +181,7 @@ def declare_fault(
         First row of the fault in the table of the detectors' results. -1 for a fault without a
         detector, which a drive or a bus reports.
     """
-    declared = Fault(id_, title, detection, action, clears, cause, remedy, debounce, release, per, name, reports)
+    declared = Fault(id_, title, detection, action, clears, cause, remedy, debounce, relax_method, per, name, reports)
     TABLE.append(declared)
     # One detector row for each kind of instance. Detectors use the index of the first kind plus 1.
     first = len(DETECTOR_ROWS)

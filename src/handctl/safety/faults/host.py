@@ -1,6 +1,6 @@
 """Rows H01 to H15 and I01 to I10: faults of the host, and of files and inputs."""
 
-from handctl.safety.action import Action, Release
+from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import (
     ARMING,
     DETECTED,
@@ -57,8 +57,8 @@ declare_fault(
 )  # fmt: skip
 
 declare_row("H05", "the controller is killed", DRIVE,
-    odrive=f"{DETECTED}: if its watchdog is on. With endpoints it is read back", ms=54, required=3,
-    why="watchdog_ms of the hand file, 50, from the last command, and 4 ms for the decay of the current",
+    odrive=f"{DETECTED}: if its watchdog is on, which is read back with endpoints", ms=54, required=3,
+    why="watchdog_ms of the hand file is 50 ms from the last command, and the current decays in 4 ms",
     tested="tests/runtime/test_killed.py")  # fmt: skip
 declare_row("H06", "SIGTERM, SIGINT, also twice", LOOP, ticks=1, required=1)
 declare_row("H07", "exception in the loop", LOOP, ticks=1, required=1, tested="tests/runtime/test_loop.py")
@@ -95,7 +95,7 @@ declare_row("H12", "second controller, same host", ARMING, tested="tests/runtime
 declare_row("H13", "second controller, same bus", ticks=2, required=2)
 declare_fault(
     "H13", "a second controller", "A frame arrives that only the host may send, or a reply arrives without a request",
-    Action.RELAX, OPERATOR, release=Release.OPEN, reports=(FOREIGN,),
+    Action.RELAX, OPERATOR, relax_method=RelaxMethod.OPEN_LOOP, reports=(FOREIGN,),
     cause="Another program or computer commands drives on this bus.",
     remedy="Stop the other program or unplug its adapter, then start a new run.",
 )  # fmt: skip
@@ -157,7 +157,7 @@ ON_HARDWARE: tuple[tuple[str, str], ...] = (
     ("T01", "cut a tendon in a grasp, from behind a screen"),
     ("H05", "kill -9 in a grasp, and time the drives with a current probe"),
 )
-"""Tests to do on hardware.
+"""Tests to do on hardware: row of the catalogue, and instruction.
 
 ``docs/evidence/faults.md`` contains these tests as a checklist with dates.
 """

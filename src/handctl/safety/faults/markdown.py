@@ -8,7 +8,7 @@ from handctl.safety.faults.table import CATALOGUE, TABLE
 REQUIRED_MS = 5.0
 """Tick period assumed in the project's fault catalogue [ms]."""
 RATE_HZ = 500.0
-"""Control rate for the times in the catalogue [Hz], that of the packaged hand with one motor per digit."""
+"""Control rate for the times in the catalogue [Hz]. It is the rate of the packaged hand with one motor per digit."""
 
 
 def fault_table_markdown(table: tuple[Fault, ...] = TABLE) -> str:
@@ -19,7 +19,7 @@ def fault_table_markdown(table: tuple[Fault, ...] = TABLE) -> str:
 
 
 def fault_sections(table: tuple[Fault, ...] = TABLE) -> str:
-    """Return one Markdown section per fault: observation, causes, reaction, remedy."""
+    """Return one Markdown section per fault, with what happened, causes, reaction and remedy."""
     return "\n\n".join(
         f"### {f.id}: {f.title}\n\n"
         f"- **What happened:** {f.detection}.\n"
@@ -38,7 +38,7 @@ def catalogue_markdown(entries: tuple[CatalogueRow, ...] = CATALOGUE) -> str:
 
 
 def _catalogue_row(entry: CatalogueRow) -> str:
-    # A row may have several faults (its stages), or none if it is judged outside of ticks.
+    # A row may have several faults, its stages. It has no fault if it is not checked in ticks.
     judged = ", ".join(f"{f.id} {f.action.name}" for f in TABLE if f.row == entry.id) or entry.where
     latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks_text(entry)} ticks"
     latest += f", ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""
@@ -56,13 +56,13 @@ def _ticks_text(entry: CatalogueRow) -> int:
 def is_late(entry: CatalogueRow) -> bool:
     """Return True if the reaction to a row takes more ticks than the project's fault catalogue allows.
 
-    If the catalogue gives no time, the result is False.
+    The result is False if the catalogue gives no time.
     """
     return 0 < entry.required < _ticks_text(entry)
 
 
 def late_rows(entries: tuple[CatalogueRow, ...] = CATALOGUE) -> str:
-    """Return the rows with a later reaction than in the project's fault catalogue, with reasons, as Markdown."""
+    """Return the rows whose reaction is later than the project's fault catalogue allows, with reasons, as Markdown."""
     rows = [
         f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * REQUIRED_MS:g} ms "
         f"| {e.latest_ms(RATE_HZ):g} ms | {e.why} |"

@@ -3,7 +3,7 @@
 The inventory before arming checks N03 and N12.
 """
 
-from handctl.safety.action import Action, Release
+from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.bus import SHORT_WINDOW, SILENCE_REASON
 from handctl.safety.faults.fault import (
     ARMING,
@@ -26,55 +26,56 @@ STUCK_S = 0.1
 STUCK_GOAL_M = 0.5e-3
 STUCK_TENSION_N = 8.0
 STUCK_JOINT_DEG = 10.0
-"""Longest time with a constant sensor reading while a reference moves, and smallest motion of each reference.
+"""Longest time with a constant sensor reading while a reference moves, and motion of each reference for a fault.
 
 For a motor the goal moves by 0.5 mm, or the tension changes by 8 N (80 um of tendon stretch). For a
-joint the spools turn the joint by 10 degrees.
+joint the angle by the spools changes by 10 degrees.
 """
 SLIP_WARN_DEG = 3.0
 SLIP_TRIP_DEG = 6.0
 """Difference between joint encoder and spool above which the reaction is WARN, and above which RELAX [deg]."""
 NOISE_FACTOR = 9.0
-"""Variance of a noise burst, as a multiple of the variance expected from drive torque and encoder rounding."""
+"""Mean squared jerk of a noisy position, as a multiple of that expected from drive torque and encoder rounding."""
 WARM_TICKS = 20
 """Number of consecutive ticks with a high temperature for a fault."""
 NOT_OBEYED_N = 15.0
-"""Difference between commanded and reported torque for a fault, converted to tension [N]."""
+"""Difference between commanded and reported torque above which there is a fault, converted to tension [N]."""
 SWING_N = 8.0
 SWING_S = 0.25
 SWING_HZ = 8.0
-"""Tension oscillation: RMS [N] (for an amplitude of 11 N), duration before RELAX [s], lowest frequency [Hz].
+"""Thresholds for an oscillation of the tension: RMS [N], duration [s], lowest frequency [Hz].
 
-A command step of 75 N at 5000 N/s exceeds this RMS for only 0.15 s.
+The RMS belongs to an amplitude of 11 N. After a command step of 75 N at 5000 N/s this RMS is
+exceeded for only 0.15 s.
 """
 HALF_RATE_MISSES = 7
-"""Missing replies within ``SHORT_WINDOW`` ticks from a node that replies at half the control rate.
+"""Number of missing replies in ``SHORT_WINDOW`` ticks from which a node counts as replying at half the control rate.
 
-Two missing replies in a row occur when the phase between ticks and replies shifts.
+Two replies in a row are missing when the phase between ticks and replies shifts.
 """
 STILL_PULLING_S = 0.1
 STILL_PULLING_FRACTION = 0.5
 STILL_PULLING_N = 10.0
-"""Tendon still pulled after a cut: time after the cut [s], smallest fraction of the tension before, tension [N].
+"""Thresholds for a tendon that is still pulled after a cut: time [s], fraction of the tension at the cut, tension [N].
 
 After this time, tendons of the packaged hands have at most a third of their tension if the motor is
 off, and at least 0.74 of their tension if the motor still pulls.
 """
 REPORTED_FRACTION = 0.4
 REPORTED_S = 0.25
-"""Smallest ratio of reported to commanded torque change, and time constant of the comparison [s]."""
+"""Smallest ratio of reported to commanded torque changes, and time constant of the comparison [s]."""
 
-# Texts of the catalogue's columns for protocols without a direct sign.
+# Texts of the catalogue's columns for protocols that do not show a fault directly.
 _BEAT = f"{DETECTED}: by the heartbeat, every 100 ms"
-_BESIDE = f"{LOST}: cyclic messages come in addition to replies"
+_BESIDE = f"{LOST}: excess replies look like cyclic messages, which come in addition to replies"
 _JOINTS = f"{REPLACED}: only with joint encoders, else the motor's encoder has no reference"
-_SLOWLY = f"{REPLACED}: cyclic messages come in between, single losses (B01)"
-_AGAIN = "limit and watchdog are read in turn while enabled, one every 500 ms"
+_SLOWLY = f"{REPLACED}: by single losses (B01), because cyclic messages come in between"
+_AGAIN = "While enabled, limit and watchdog are read in turn, one every 500 ms"
 _SILENCE = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} in a row"
 _MODES = "tests/controller/test_modes.py"
 
 declare_row("N01", "reset in motion", odrive=_BEAT, ticks=4, odrive_ms=100, required=2,
-    why="4 if the drive is silent while it restarts (CiA 402), else 2")  # fmt: skip
+    why="4 ticks if the drive is silent while it restarts (CiA 402), else 2 ticks")  # fmt: skip
 N01 = declare_fault(
     "N01", "a drive dropped out", "A drive reports that it is disabled, or has restarted",
     Action.RELAX, OPERATOR, MOTOR,
@@ -83,7 +84,8 @@ N01 = declare_fault(
 )  # fmt: skip
 
 declare_row("N02", "silent node", ticks=1, ms=30, required=4,
-    why=SILENCE_REASON + ". Joint encoders in every fourth tick: four readings, 85 ms at 200 Hz")  # fmt: skip
+    why=SILENCE_REASON + ". Joint encoders are read in every fourth tick: four readings take 85 ms at 200 Hz",
+)  # fmt: skip
 N02 = declare_fault(
     "N02", "the load cells are silent", f"The sensor node sends no tension frame {_SILENCE}",
     Action.RELAX, OPERATOR, TENDON,
@@ -100,11 +102,12 @@ N02B = declare_fault(
 declare_row("N03", "missing at start", ARMING, tested=_MODES)
 
 declare_row("N04", "encoder stuck", ticks=2, ms=500, required=22,
-    why="a constant reading is wrong only if goal (0.5 mm) or tension (8 N) move, for more than 100 ms")  # fmt: skip
+    why="a constant reading is a fault only after the goal moved by 0.5 mm or the tension by 8 N, and after 100 ms",
+)  # fmt: skip
 N04 = declare_fault(
     "N04", "an encoder is stuck",
     f"A reading is constant for {STUCK_S * 1e3:g} ms, although the goal, the tension or the spool moves",
-    Action.RELAX, OPERATOR, MOTOR, JOINT, release=Release.OPEN,
+    Action.RELAX, OPERATOR, MOTOR, JOINT, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The encoder or its magnet has failed, the drive repeats old values, or a tendon without load cell has torn.",
     remedy="Turn motor and joint by hand in handctl bus watch. "
     "Replace an encoder that does not follow. Else check the tendon.",
@@ -120,7 +123,7 @@ N05A = declare_fault(
 )  # fmt: skip
 N05B = declare_fault(
     "N05b", "an encoder jumps", "Two readings in a row change more than a rotor can move",
-    Action.RELAX, OPERATOR, MOTOR, JOINT, release=Release.OPEN,
+    Action.RELAX, OPERATOR, MOTOR, JOINT, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The encoder or its magnet is loose, or the drive has lost its reference.",
     remedy="Check magnet and cable of the encoder with handctl bus watch, then commission again (handctl commission).",
 )  # fmt: skip
@@ -137,7 +140,7 @@ N06A = declare_fault(
 N06B = declare_fault(
     "N06b", "an encoder or a tendon slips",
     f"The filtered difference of joint encoder and spool is above {SLIP_TRIP_DEG:g} degrees",
-    Action.RELAX, OPERATOR, TENDON, release=Release.OPEN,
+    Action.RELAX, OPERATOR, TENDON, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The tendon slips on its spool, has left a pulley, or an encoder has come loose.",
     remedy="Check clamp and path of the tendon and the encoder's magnet, then commission again (handctl commission).",
 )  # fmt: skip
@@ -152,7 +155,7 @@ N07 = declare_fault(
 )  # fmt: skip
 
 declare_row("N08", "the drive's watchdog fired", odrive=_BEAT, ticks=2, odrive_ms=100, required=2,
-    robstride=f"{REPLACED}: the drive reports to be disabled, without a reason (N01)")  # fmt: skip
+    robstride=f"{REPLACED}: by N01, because the drive reports only that it is disabled")  # fmt: skip
 N08 = declare_fault(
     "N08", "a drive's watchdog fired", "The drive reports that its watchdog fired", Action.RELAX, OPERATOR, MOTOR,
     cause="The drive received no command in time: this host was too slow, or commands were lost.",
@@ -160,7 +163,7 @@ N08 = declare_fault(
 )  # fmt: skip
 
 declare_row("N09", "over-temperature", odrive=f"{DETECTED}: requested five times a second",
-    cia402=f"{REPLACED}: no temperature in the PDO, the drive's own limit by EMCY (N11)",
+    cia402=f"{REPLACED}: by the drive's own limit (N11), because the PDO has no temperature",
     ticks=22, odrive_ms=200, required=22)  # fmt: skip
 N09A = declare_fault(
     "N09a", "a drive is warm",
@@ -198,42 +201,42 @@ N11B = declare_fault(
     remedy="Look the code up in the drive's manual, and check the firmware version in the hand file.",
 )  # fmt: skip
 
-declare_row("N12", "wrong firmware or settings", TICK, f"{REPLACED}: registers, no serial number, {_AGAIN}",
-    f"{REPLACED}: protocol version and endpoints, no serial number, {_AGAIN}",
-    f"{REPLACED}: objects, no serial number, {_AGAIN}", ticks=4, ms=1000,
-    moteus=f"{REPLACED}: settings, {_AGAIN}", robstride=f"{REPLACED}: parameters, {_AGAIN}")  # fmt: skip
+declare_row("N12", "wrong firmware or settings", TICK, f"{REPLACED}: by registers, without serial number. {_AGAIN}",
+    f"{REPLACED}: by protocol version and endpoints, without serial number. {_AGAIN}",
+    f"{REPLACED}: by objects, without serial number. {_AGAIN}", ticks=4, ms=1000,
+    moteus=f"{REPLACED}: by settings. {_AGAIN}", robstride=f"{REPLACED}: by parameters. {_AGAIN}")  # fmt: skip
 N12 = declare_fault(
     "N12", "a drive is not as configured",
     "A setting that was read back is wrong, or another host has enabled the drive",
-    Action.CUT, OPERATOR, MOTOR, release=Release.OPEN,
+    Action.CUT, OPERATOR, MOTOR, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The drive was replaced, has lost its settings, or another program writes to it.",
     remedy="Close other programs, compare the drive with the hand file, and restart the drive.",
 )  # fmt: skip
 
 declare_row("N13", "two nodes with one id", odrive=_BESIDE, ticks=4, required=2,
-    why="2 if the second reply has different bytes, else three times in a row")  # fmt: skip
+    why="2 ticks if the second reply has different bytes, else two replies in three ticks in a row")  # fmt: skip
 N13 = declare_fault(
     "N13", "two nodes with one identifier", "A node sends two replies to one request, in three ticks in a row",
-    Action.RELAX, OPERATOR, NODE, debounce=3, release=Release.OPEN,
+    Action.RELAX, OPERATOR, NODE, debounce=3, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Two nodes on the bus have the same identifier.",
     remedy="Connect the nodes one at a time, run handctl scan, and give each its own identifier.",
 )  # fmt: skip
 
 declare_row("N14", "command not obeyed", odrive=f"{REPLACED}: by tension (T04) unless torque_feedback is set",
     ticks=22, ms=600, required=22,
-    why="22 if reported and commanded torque differ. Ripple that no drive reports is found by the oscillation (N14b)",
+    why="22 ticks if reported and commanded torque differ. Ripple that no drive reports is found by N14b",
     )  # fmt: skip
 N14 = declare_fault(
     "N14", "a command is not obeyed",
     f"The filtered difference of commanded and reported torque is above {NOT_OBEYED_N:g} N at the tendon",
-    Action.RELAX, OPERATOR, MOTOR, release=Release.OPEN,
+    Action.RELAX, OPERATOR, MOTOR, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The drive limits its torque, is in another mode, or its torque constant is wrong.",
     remedy="Check torque limit and torque constant of the drive, and run handctl conformance on it.",
 )  # fmt: skip
 N14B = declare_fault(
     "N14b", "the tension oscillates",
     f"For {SWING_S * 1e3:g} ms, the tension oscillates about the command with {SWING_N:g} N RMS, above {SWING_HZ:g} Hz",
-    Action.RELAX, OPERATOR, TENDON, release=Release.OPEN,
+    Action.RELAX, OPERATOR, TENDON, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The torque of the motor has a ripple, or the gains are too high for this hand.",
     remedy="Lower the gains (handctl gains, handctl tune), and calibrate the drive against cogging.",
 )  # fmt: skip
@@ -248,7 +251,7 @@ N15 = declare_fault(
 )  # fmt: skip
 
 declare_row("N16", "node refuses to release", ticks=2, ms=100, required=21,
-    why="the time of 21 ticks of 5 ms, in which the springs open the finger")  # fmt: skip
+    why="in the required time of 21 ticks of 5 ms the springs open the finger")  # fmt: skip
 N16 = declare_fault(
     "N16", "a drive does not release",
     f"The tension does not fall within {STILL_PULLING_S * 1e3:g} ms after the torque was cut",
@@ -263,7 +266,7 @@ declare_row("N17", "drives exchanged, or obeying late",
 N17 = declare_fault(
     "N17", "torque reports of another motor",
     f"Over {REPORTED_S * 1e3:g} ms, less than {REPORTED_FRACTION:g} of the small changes of the command are reported",
-    Action.RELAX, OPERATOR, MOTOR, release=Release.OPEN,
+    Action.RELAX, OPERATOR, MOTOR, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Cables or identifiers of two motors are exchanged, or the drive obeys late.",
     remedy="Check the identifiers of all motors with handctl scan, and commission again (handctl commission).",
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Fault table and catalogue with all declarations, and arrays for the compiled judge."""
+"""Fault table and catalogue with all declarations, and arrays for the compiled detectors."""
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from handctl.safety.faults.fault import CatalogueRow, Fault
 TABLE: tuple[Fault, ...] = tuple(declared.TABLE)
 """All faults, in the order of the catalogue."""
 BY_ID = {fault.id: fault for fault in TABLE}
+"""All faults by identifier."""
 CATALOGUE: tuple[CatalogueRow, ...] = tuple(declared.CATALOGUE)
 """All rows of the catalogue."""
 

@@ -1,6 +1,6 @@
 """Rows T01 to T09: faults of tendons and their load cells. Commissioning checks T07."""
 
-from handctl.safety.action import Action, Release
+from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import (
     ARMING,
     DETECTED,
@@ -20,43 +20,43 @@ SNAP_FRACTION = 0.2
 SNAP_N = 8.0
 SNAP_SPEED = 0.03
 SNAP_MEMORY_S = 0.1
-"""Thresholds for a snapped tendon: tension fraction, lowest tension before [N], spool speed [m/s], memory [s].
+"""Thresholds for a snapped tendon: tension fraction, commanded tension [N], spool speed [m/s], memory [s].
 
-A tendon counts as snapped if its tension was at least ``SNAP_N`` and has dropped below the given
-fraction, the spool winds with at least ``SNAP_SPEED``, and the tendon was taut within the last
-``SNAP_MEMORY_S``. During take-up a tendon was not taut before, so no fault is raised. A tendon
-without load stays taut.
+A tendon counts as snapped if more than ``SNAP_N`` is commanded and its tension is below
+``SNAP_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPEED``. It must have
+been taut within the last ``SNAP_MEMORY_S``. So a tendon that is taken up does not count as snapped.
 """
 SLACK_WARN_S = 0.05
 SLACK_TRIP_S = 0.5
 """Duration of slack above which the reaction is WARN, and above which RELAX [s]."""
 RELAXED_S = 0.1
-"""Time from the start of relaxing after which a tendon must be below the trip limit if its motor obeys [s]."""
+"""Time from the start of relaxing after which a tendon whose motor obeys is below the trip limit [s]."""
 RESIDUAL_WARN_N = 5.0
 RESIDUAL_TRIP_N = 10.0
 """Unexplained tension above which the reaction is WARN, and above which RELAX [N]."""
 FRICTION_WARN_N = 3.0
-"""Friction in excess of that in the hand file for a fault [N]."""
+"""Friction in excess of the hand file above which there is a fault [N]."""
 CELL_TICKS = 40
 CELL_FORCE_N = 5.0
-"""Stuck load cell: number of equal readings in a row, and change of the motor force meanwhile [N].
+"""Thresholds for a stuck load cell: equal readings in a row, and change of the motor force during these readings [N].
 
 The noise of a healthy load cell is eight counts.
 """
 MIN_REPEATS = 8
 REPEAT_WINDOW = 16
-"""Number of equal readings in a row before the probability test, and number of readings for its estimate."""
+"""Number of repeated readings in a row before their probability is tested, and readings that estimate it."""
 SATURATED_TICKS = 3
-"""Number of consecutive ticks with a saturated load cell for a fault."""
+"""Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_DEG = 15.0
 DERAILED_READINGS = 3
-"""Unfiltered difference between joint and spool, beyond any tendon stretch [deg], and number of readings in a row."""
+"""Thresholds for a derailed tendon: difference of joint and spool beyond any stretch [deg], and readings in a row."""
 
 _SLACK = f"{REPLACED}: only with joint encoders, by three readings, else by slack (T02)"
-_ODRIVE = f"{DETECTED}: against the commanded torque"
+_ODRIVE = f"{DETECTED}: by comparison with the commanded torque"
 
 declare_row("T01", "snap", ticks=10, required=3,
-    why="a torn tendon's spool takes three to seven ticks to reach the speed, which must last for two")  # fmt: skip
+    why="the spool of a torn tendon reaches the limit in three to seven ticks, and must exceed it for two ticks",
+)  # fmt: skip
 T01 = declare_fault(
     "T01", "a tendon snapped", "The tension of a tendon has disappeared, and its spool winds fast",
     Action.RELAX, OPERATOR, TENDON, debounce=2,
@@ -65,7 +65,7 @@ T01 = declare_fault(
 )  # fmt: skip
 
 declare_row("T02", "slack", ticks=4, ms=110, required=12,
-    why="50 ms, as required, behind the cell's filter of 20 ms. Sudden slack is T01, in 10 ticks")  # fmt: skip
+    why="the required 50 ms begin after a filter of 20 ms. Sudden slack is found by T01 in 10 ticks")  # fmt: skip
 T02A = declare_fault(
     "T02a", "a tendon is slack",
     f"The tension is below {SLACK_N:g} N for {SLACK_WARN_S * 1e3:g} ms, although a tension is commanded",
@@ -82,10 +82,10 @@ T02B = declare_fault(
 )  # fmt: skip
 
 declare_row("T03", "over-tension", ticks=10, required=2,
-    why="2 from the first sample above the limit, 10 from the moment at which a drive runs away")  # fmt: skip
+    why="2 ticks from the first sample above the limit, 10 ticks from the start of a drive's failure")  # fmt: skip
 T03 = declare_fault(
     "T03", "over-tension", "A load-cell reading is above tension_trip_N",
-    Action.RELAX, OPERATOR, TENDON, release=Release.FAST,
+    Action.RELAX, OPERATOR, TENDON, relax_method=RelaxMethod.FAST_LOOP,
     cause="The digit is blocked or pulled from outside, or the tension command is too high.",
     remedy="Free the digit, check the task's tensions, then start a new run.",
 )  # fmt: skip
@@ -104,7 +104,7 @@ T03C = declare_fault(
 )  # fmt: skip
 
 declare_row("T04", "load cell drifts", odrive=_ODRIVE, ticks=2, ms=500, required=200,
-    why="sooner than the required 1000 ms, from the first newton at 60 N/s")  # fmt: skip
+    why="sooner than the required 1000 ms, for a drift of 60 N/s from its first newton")  # fmt: skip
 T04A = declare_fault(
     "T04a", "a load cell drifts", f"Torque, inertia and friction do not explain {RESIDUAL_WARN_N:g} N of the tension",
     Action.WARN, ITSELF, TENDON,
@@ -113,13 +113,14 @@ T04A = declare_fault(
 )  # fmt: skip
 T04B = declare_fault(
     "T04b", "a load cell is wrong", f"Torque, inertia and friction do not explain {RESIDUAL_TRIP_N:g} N of the tension",
-    Action.RELAX, OPERATOR, TENDON, release=Release.OPEN,
+    Action.RELAX, OPERATOR, TENDON, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The load cell or its amplifier has failed, or the motor's torque constant is wrong.",
     remedy="Check the load cell with a known weight with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
 
 declare_row("T05", "load cell stuck", ticks=42, ms=300, required=42,
-    why="42 from the moment at which the torque moves. In a grasp at rest a stuck cell is invisible")  # fmt: skip
+    why="42 ticks from the moment at which the torque changes. In a grasp at rest a stuck load cell is not visible",
+)  # fmt: skip
 T05 = declare_fault(
     "T05", "a load cell is stuck",
     f"{CELL_TICKS} readings of a load cell are equal, although the torque of the motor changes",
@@ -130,7 +131,7 @@ T05 = declare_fault(
 T05B = declare_fault(
     "T05b", "load-cell readings are old",
     f"{MIN_REPEATS} to {REPEAT_WINDOW} readings in a row repeat readings from some ticks before",
-    Action.RELAX, OPERATOR, TENDON, release=Release.OPEN,
+    Action.RELAX, OPERATOR, TENDON, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The sensor node or a gateway sends stored readings under new counters.",
     remedy="Restart the sensor node, and check its firmware for a queue of readings.",
 )  # fmt: skip
@@ -139,7 +140,7 @@ declare_row("T06", "load cell saturated", ticks=4, required=4)
 T06 = declare_fault(
     "T06", "a load cell is saturated",
     f"For {SATURATED_TICKS} ticks, the reading is at the end of the range, or shows a broken wire",
-    Action.RELAX, OPERATOR, TENDON, debounce=SATURATED_TICKS, release=Release.FAST,
+    Action.RELAX, OPERATOR, TENDON, debounce=SATURATED_TICKS, relax_method=RelaxMethod.FAST_LOOP,
     cause="A wire is broken, the load cell is unplugged, or the tension is beyond its range.",
     remedy="Check wire and plug of the load cell with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
@@ -147,7 +148,8 @@ T06 = declare_fault(
 declare_row("T07", "load cells swapped or inverted", ARMING, tested="tests/controller/test_commission.py")
 
 declare_row("T08", "derailed or crossed", TICK, _SLACK, _SLACK, _SLACK, ticks=8, ms=400, required=4,
-    why="three readings of joints read in turn. Below 15 degrees a filter of 300 ms finds it (N06)")  # fmt: skip
+    why="three readings are necessary, and joints are read in turn. Below 15 degrees N06 finds the fault in 300 ms",
+)  # fmt: skip
 T08 = declare_fault(
     "T08", "a tendon left its pulley",
     f"In {DERAILED_READINGS} readings, joint and spool differ by more than a tendon can stretch",

@@ -260,7 +260,14 @@ def _tick_with_reading(tick: _Tick, state: Matrix, reading: Matrix, j: int, step
     return tick(state, moved)
 
 
-STATE_ROWS = [*range(s.TRAVEL, s.STRETCH_OFFSET + 1), s.SETPOINT, s.INTEGRAL, s.FORCE, s.PLANNED, s.RATE]
+STATE_ROWS = [
+    *range(s.TRAVEL, s.STRETCH_OFFSET + 1),
+    s.SETPOINT,
+    s.TENSION_INTEGRAL,
+    s.FILTER_FORCE,
+    s.PLANNED_TENSION,
+    s.PLANNED_TENSION_RATE,
+]
 """State rows of a tendon in the feedback: first those of the filter, then those of the control law."""
 MEASUREMENT_ROWS = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
 """State rows with the tendon's measurements."""
@@ -347,7 +354,7 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
     table[s.TRAVEL] = table[s.EXCURSION] + OPERATING_TENSION_N / model.space.stiffness
     table[s.SPEED] = table[s.EXCURSION_RATE] = block_diag(*(digit.moment_arms for digit in digits)) @ dq
-    table[s.FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
+    table[s.FILTER_FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
     table[s.MEASURED_TRAVEL] = table[s.TRAVEL]
     seen = np.isfinite(_joint_gain(model))
     table[s.MEASURED_EXCURSION] = np.where(seen, table[s.EXCURSION], math.nan)
@@ -359,7 +366,7 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     bench.estimate(estimated)
     reached = layout.table(estimated, "tendon")
     table[s.SETPOINT] = reached[s.TENSION]
-    table[s.PLANNED] = MOVING_TENSION_N if moving else OPERATING_TENSION_N
+    table[s.PLANNED_TENSION] = MOVING_TENSION_N if moving else OPERATING_TENSION_N
     goals = tuple(_hold_goal(tendons) for tendons in model.digit_tendons)
     if moving:
         goals = tuple(

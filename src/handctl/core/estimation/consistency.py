@@ -1,11 +1,11 @@
-"""Log events of the filter's doubts about the model, and of blocked digits."""
+"""Log events of tendons whose model has become inconsistent or consistent, and of blocked digits."""
 
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.estimation.kalman import DOUBT_S
+from handctl.core.estimation.kalman import MEAN_NIS_S
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 
@@ -19,12 +19,12 @@ class NamedFields(Protocol):
 
 
 def consistency_events(model: HandModel, before: NamedFields, after: NamedFields) -> tuple[Event, ...]:
-    """Return the events of a tick.
+    """Return the events of the changes between two ticks.
 
     Args:
         model: the hand.
-        before: state of the last tick.
-        after: state of the present tick.
+        before: state after the last tick.
+        after: state in the present tick.
     """
     events: list[Event] = []
     doubtful = after.view("doubtful")
@@ -34,7 +34,7 @@ def consistency_events(model: HandModel, before: NamedFields, after: NamedFields
             name = model.hand.tendon_names[n]
             nis = after.view("nis_mean")[n]
             verdict = "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
-            text = f"{name}: NIS {nis:.1f} over {DOUBT_S:g} s, 2 is right: {verdict}"
+            text = f"{name}: NIS {nis:.1f} over {MEAN_NIS_S:g} s, 2 is right: {verdict}"
             events.append(Event("warn" if doubtful[n] else "info", "estimate", name, text))
     blocked = after.view("blocked")
     was = before.view("blocked")
