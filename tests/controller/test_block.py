@@ -1,5 +1,7 @@
 """The state block: its schema, the views of the kernels, and the digest, which covers every field."""
 
+import ast
+import inspect
 import random
 from collections.abc import Iterator
 from dataclasses import fields, replace
@@ -114,29 +116,27 @@ def state(request: pytest.FixtureRequest) -> State:
     return State(layout, block, Decisions((), Progress.initial(len(model.digits), "test")))
 
 
-CONSTANT_OF = {
-    "asked": "COMMANDED_FORCE", "wanted": "COMMANDED_TENSION", "felt": "SMOOTHED_TIP_FORCE",
-    "usual": "TIP_FORCE_MEAN", "grown": "CONTACT_FORCE", "surplus": "EXCESS_REPLIES", "bears": "IS_TAUT",
-    "cut_bears": "TENSION_AFTER_CUT", "cut_from": "TENSION_AT_CUT", "strange": "UNKNOWN_FRAMES",
-    "limit_held": "HOLD_LIMIT", "sync_asked": "SYNC_COUNTER", "twice": "DUPLICATES", "misshapen": "MALFORMED",
-    "open_questions": "OUTSTANDING", "question": "REQUEST_TICKS", "nis_lately": "NIS_FAST",
-    "way": "TRAJECTORY", "way_kind": "TRAJECTORY_KIND", "way_start": "TRAJECTORY_START",
-    "way_end": "TRAJECTORY_END", "way_since": "TRAJECTORY_SINCE", "way_duration": "TRAJECTORY_DURATION",
-    "felt_fraction": "TIP_FORCE_FRACTION", "usual_fraction": "TIP_FORCE_MEAN_FRACTION",
-    "trim_kept": "TRIM_DECAY", "pressed_kept": "PRESSED_DECAY", "touch_kept": "TOUCH_DECAY",
-}  # fmt: skip
-"""Constants of fields whose first name stays in logs."""
+def constants_by_field(module: Any) -> dict[str, str]:
+    """Return the name of the constant with the first row of each field, from the source of a module."""
+    declared = {}
+    for node in ast.parse(inspect.getsource(module)).body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and isinstance(node.targets[0], ast.Name):
+            function, first = node.value.func, node.value.args[:1]
+            if isinstance(function, ast.Name) and function.id in ("_real", "_whole"):
+                assert isinstance(first[0], ast.Constant)
+                declared[str(first[0].value)] = node.targets[0].id
+    return declared
 
 
 @pytest.mark.parametrize(("schema", "module"), [(STATE, state_block), (HAND, constants)])
 def test_every_field_is_declared_once_and_found_by_its_name(schema: Schema, module: Any) -> None:
     names = names_of(schema.fields)
     assert len(set(names)) == len(names) > 50
+    declared = constants_by_field(module)
+    assert set(declared) == set(names)
+    assert len(set(declared.values())) == len(names)
     for field in schema.fields:
-        constant = field.name.upper()
-        if not hasattr(module, constant):
-            constant = CONSTANT_OF[field.name]
-        assert getattr(module, constant) == field.first, field.name
+        assert getattr(module, declared[field.name]) == field.first, field.name
         assert field.meaning, field.name
 
 
