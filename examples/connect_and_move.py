@@ -11,9 +11,9 @@ import handctl
 with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:  # starts a controller, commissions, arms
     hand.move(index=30, middle=30, ring=30, duration_s=0.8)  # angle of all joints of these digits [deg]
     hand.hold(thumb=10)  # tension of the tendons of a digit [N]
-    seen = hand.observe()
-    for name, angle in zip(hand.description.joints, seen.q_deg, strict=True):
+    observation = hand.observe()
+    for name, angle in zip(hand.description.joints, observation.q_deg, strict=True):
         print(f"{name:10} {angle:6.1f} deg")
-    print("tensions [N]:", seen.named("tension_N"))
+    print("tensions [N]:", observation.named("tension_N"))
     hand.move(index=0, middle=0, ring=0, thumb=0, duration_s=0.8)
 print("log:", hand.result["log"])

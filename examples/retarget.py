@@ -3,9 +3,9 @@
 In another terminal: handctl sim --hand jamia11 --bus local:lab --scene none
 Then: python retarget.py [options of handctl run] writes retarget.png.
 
-The human motion is made here: index, middle, ring and thumb close one after another, and open. The lengths of the
-segments are fractions of the hand's length (Buchholz, Armstrong and Goldstein 1992, Ergonomics 35(3), 261-273). The
-last joint of a finger turns by 2/3 of the middle one (Rijpkema and Girard 1991).
+This program computes the human motion: index, middle, ring and thumb close one after another, and open. The lengths
+of the segments are fractions of the hand's length (Buchholz, Armstrong and Goldstein 1992, Ergonomics 35(3), 261-273).
+The last joint of a finger turns by 2/3 of the middle one (Rijpkema and Girard 1991).
 """
 
 import sys
@@ -31,7 +31,7 @@ SEGMENTS = {  # proximal, middle and distal segment as fractions of the hand's l
     "ring": (0.244, 0.165, 0.107),
     "thumb": (0.196, 0.158),
 }
-CLOSED_DEG = {"index": 36.0, "middle": 30.0, "ring": 30.0, "thumb": 8.0}  # further on, fingers and thumb touch
+CLOSED_DEG = {"index": 36.0, "middle": 30.0, "ring": 30.0, "thumb": 8.0}  # at larger angles, fingers and thumb touch
 
 
 def human_tip(name, t):
@@ -56,17 +56,18 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
     tips = Fingertips(hand.description, list(SEGMENTS))
     hand.move(tips.angles_deg({name: retarget(digits[name], name, 0.0) for name in SEGMENTS}))
     first = hand.observe().k
-    left = []
+    distances_m = []
     with hand.stream(RATE_HZ, "fingertip", list(SEGMENTS)) as stream:
         began_s = hand.observe().t_s
         for tick in range(round(SECONDS * RATE_HZ)):
             t = tick / RATE_HZ + stream.horizon_s  # the moment at which the hand shall be there
             stream.send(np.array([retarget(digits[name], name, t) for name in SEGMENTS]))
-            left.append(stream.fingertips.distances_m.copy())
+            distances_m.append(stream.fingertips.distances_m.copy())
             stream.sleep()
         print(stream.status)
         last = hand.observe().k
-print(f"left by the inverse kinematics: {1e3 * np.mean(left):.2f} mm on average, {1e3 * np.max(left):.2f} mm at most")
+distances_mm = 1e3 * np.array(distances_m)
+print(f"error of the inverse kinematics: {distances_mm.mean():.2f} mm on average, {distances_mm.max():.2f} mm at most")
 
 with RunLog(hand.result["log"]) as log:  # the log has every tick, also ticks that this program did not observe
     streamed = (log.k > first) & (log.k < last)

@@ -3,8 +3,8 @@
 Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
 Then start: python teleoperate.py [options of handctl run]
 
-Any program that prints such lines can lead the hand, for example a data glove or a camera. The latest line is the goal,
-and the targets approach this goal with a limited speed. The program ends when its input ends:
+Any program that prints such lines can move the hand, for example the program of a data glove or of a camera. The latest
+line is the goal, and the targets approach this goal with a limited speed. The program ends when its input ends:
 printf 'index=40\\nindex=0\\n' | python teleoperate.py
 """
 

@@ -15,7 +15,7 @@ class HandctlRobotConfig(RobotConfig):
     Attributes:
         hand: packaged name or file of the hand.
         bus: bus, as ``handctl run --bus``.
-        rate_Hz: announced rate of the actions, in the time of the hand.
+        rate_Hz: expected rate of the actions, measured with the clock of the hand.
         speed_deg_s: largest rate of a joint's target.
         options: further options of ``handctl run``.
         cameras: cameras of LeRobot.

@@ -78,7 +78,7 @@ class Leader(Teleoperator):
 
 
 class HandctlKeyboard(Leader):
-    """Keys of a terminal, read from the standard input: each closes or opens a digit by a step."""
+    """Teleoperator that reads keys from the standard input. Each key closes or opens a digit by a step."""
 
     config_class = HandctlKeyboardConfig
     name = "handctl_keyboard"
@@ -94,7 +94,7 @@ class HandctlKeyboard(Leader):
         self._settings: Any = None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Read single keys from a terminal. Other inputs are read as they come."""
+        """Read single keys from a terminal. If standard input is no terminal, its mode is not changed."""
         super().connect(calibrate)
         self._angles[:] = 0.0
         if sys.stdin.isatty():
@@ -109,18 +109,18 @@ class HandctlKeyboard(Leader):
         return named(self.joints, self._angles)
 
     def disconnect(self) -> None:
-        """Give the terminal back."""
+        """Restore the mode of the terminal."""
         super().disconnect()
         if self._settings is not None:
             termios.tcsetattr(0, termios.TCSADRAIN, self._settings)
             self._settings = None
 
     def _keys(self) -> str:
-        """Return the keys since the last call, without waiting."""
+        """Return the keys that were pressed since the last call, without waiting."""
         return os.read(0, 1024).decode("ascii", "ignore") if select.select([0], [], [], 0.0)[0] else ""
 
     def _press(self, key: str) -> None:
-        """Move the digit of a key."""
+        """Move the target of the digit that a key selects."""
         if key == OPEN_ALL:
             self._angles[:] = 0.0
         for keys, step in ((CLOSE, self._step), (OPEN, -self._step)):
@@ -132,7 +132,7 @@ class HandctlKeyboard(Leader):
 
 
 class HandctlLog(Leader):
-    """A recorded run: commanded angles while the hand was active, in the time of the run."""
+    """Teleoperator that replays the commanded angles of a recorded run with its timing, while the hand was active."""
 
     config_class = HandctlLogConfig
     name = "handctl_log"
@@ -149,7 +149,7 @@ class HandctlLog(Leader):
             self.joints = log.names("q")
             active = log.mode == Mode.ACTIVE
             goal = log.field("q_goal")[active]
-            # A digit that holds a tension has no commanded angle: its estimated one counts.
+            # A digit that holds a tension has no commanded angle. Its estimated angle is used.
             self._angles = np.where(np.isnan(goal), log.field("q")[active], goal)
             self._times = log.times[active]
         if not len(self._times):
@@ -163,7 +163,7 @@ class HandctlLog(Leader):
         self._start_s = None
 
     def get_action(self) -> dict[str, Any]:
-        """Return the angles of the present moment [rad], at the end the last ones."""
+        """Return the angles of the present moment [rad]. After the end of the log, these are the last angles."""
         self._check_open()
         now = time.monotonic()
         self._start_s = now if self._start_s is None else self._start_s

@@ -50,7 +50,7 @@ class HandctlRobot(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        """Return the names of an observation: angles, tensions, pictures."""
+        """Return the names of an observation: angles, tensions, camera images."""
         tensions = {f"{tendon}{TENSION}": float for tendon in self.description.tendon_names}
         pictures = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
         return {**positions(self.description.joints), **tensions, **pictures}
@@ -62,7 +62,7 @@ class HandctlRobot(Robot):
 
     @property
     def is_connected(self) -> bool:
-        """Return True if the hand takes actions."""
+        """Return True if the hand accepts actions."""
         return self._hand is not None
 
     @property
@@ -96,7 +96,7 @@ class HandctlRobot(Robot):
         """Do nothing: the controller has its settings from the hand file."""
 
     def get_observation(self) -> dict[str, Any]:
-        """Return the latest observation: angles [rad], tensions [N], pictures."""
+        """Return the latest observation: angles [rad], tensions [N], camera images."""
         seen = self._connected().observe()
         tendons = self.description.tendon_names
         tensions = {f"{name}{TENSION}": float(value) for name, value in zip(tendons, seen.tension_N, strict=True)}
@@ -104,7 +104,7 @@ class HandctlRobot(Robot):
         return {**named(self.description.joints, seen.q_rad), **tensions, **pictures}
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Send a target. Return the target that was sent, within the range and the largest rate of the joints."""
+        """Send a target. Send a target within the range and the speed limit of the joints, and return it."""
         hand = self._connected()
         wanted = np.clip(angles_of(self.description.joints, action), self._low, self._high)
         with self._lock:

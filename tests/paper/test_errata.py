@@ -208,7 +208,7 @@ def test_numbers_of_the_paper_are_judged_without_springs() -> None:
 def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
     found = {item.id: item for item in sections.page_items(None)}
     assert "Never said" not in found["sec4-7.angles"].why
-    assert "Section 7 states that its own are absolute" in found["sec4-7.angles"].why
+    assert "Section 7 states that its angles are absolute" in found["sec4-7.angles"].why
 
 
 def test_torques_convert_between_relative_and_absolute_angles() -> None:

@@ -11,8 +11,8 @@ from handctl.paper.item import ErrataVerdict
 from handctl.paper.verdicts import (
     last_digit_value,
     rounding_interval,
-    verdict_of_carried,
     verdict_of_contradiction,
+    verdict_of_derived_number,
     verdict_of_lower_bound,
     verdict_of_number,
     verdict_of_readings,
@@ -76,15 +76,15 @@ def test_a_unit_of_the_last_digit_beyond_is_wrong(value: Fraction, places: int, 
 def test_an_error_carried_over_from_a_number_has_its_verdict() -> None:
     torque = Fraction(55, 3) * 5 / 1000
     assert (
-        verdict_of_carried("0.09165", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED)
+        verdict_of_derived_number("0.09165", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED)
         == ErrataVerdict.ROUNDED
     )
     assert (
-        verdict_of_carried("0.09170", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED)
+        verdict_of_derived_number("0.09170", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED)
         == ErrataVerdict.WRONG
     )
     assert (
-        verdict_of_carried("0.09167", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.TRUNCATED)
+        verdict_of_derived_number("0.09167", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.TRUNCATED)
         == ErrataVerdict.ROUNDED
     )
 

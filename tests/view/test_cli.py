@@ -77,7 +77,7 @@ def test_view_refuses_a_file_that_is_not_a_log(tmp_path: Path, capsys: pytest.Ca
 def test_without_a_driver_the_packages_are_named(
     jamia_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(viewer, "ICD_FOLDERS", (str(tmp_path),))
+    monkeypatch.setattr(viewer, "VULKAN_DRIVER_FOLDERS", (str(tmp_path),))
     monkeypatch.delenv("VK_ICD_FILENAMES", raising=False)
     monkeypatch.delenv("VK_DRIVER_FILES", raising=False)
     assert main(["view", str(jamia_path), "--picture", str(tmp_path / "x.png")]) == 2

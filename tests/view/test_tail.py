@@ -11,7 +11,7 @@ from rrd_entities import entities, run_info_of
 from handctl.errors import LogError
 from handctl.view.feed import log_chunks
 from handctl.view.scene.topic_converters import TopicConverters
-from handctl.view.tail import Tail
+from handctl.view.tail import LogTail
 
 
 def grow_file(whole: bytes, seed: int) -> list[int]:
@@ -25,7 +25,7 @@ def grow_file(whole: bytes, seed: int) -> list[int]:
 def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(seed: int, jamia_path: Path, tmp_path: Path) -> None:
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
     run = run_info_of(jamia_path)
-    converters, tail, chunks, times = TopicConverters(run), Tail(path), list[Chunk](), 0
+    converters, tail, chunks, times = TopicConverters(run), LogTail(path), list[Chunk](), 0
     for size in grow_file(whole, seed):
         path.write_bytes(whole[:size])
         assert not (tail.ended and size < 0.9 * len(whole))
@@ -48,7 +48,7 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(seed: int, jamia_pat
 
 def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path: Path) -> None:
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
-    tail, parts = Tail(path), 0
+    tail, parts = LogTail(path), 0
     start = len(whole) // 2
     for size in range(start, start + 60_000, 997):
         path.write_bytes(whole[:size])
@@ -61,4 +61,4 @@ def test_another_file_is_an_error(jamia_path: Path, tmp_path: Path) -> None:
     data[0] = 0
     path.write_bytes(data)
     with pytest.raises(LogError, match="not an MCAP file"):
-        Tail(path).write_new(tmp_path / "part.mcap")
+        LogTail(path).write_new(tmp_path / "part.mcap")

@@ -27,11 +27,11 @@ CAPTIONS = {
     "fig1-hand": "Fig. 1: the hand from its description, half closed.",
     "fig2-model": "Fig. 2: kinematic model of a finger, with relative angles q and absolute angles θ.",
     "fig3-path": "Fig. 3: path of the tip (Eq. 1-2) and workspace, finger and thumb.",
-    "fig4-statics": "Fig. 4 and 6: moments of a tip force, and those of one tendon.",
-    "fig5-force-displacement": "Fig. 5: the tendon's curve, measured, with both printed knees and the stress limit.",
+    "fig4-statics": "Fig. 4 and 6: moments of a tip force, and moments of one tendon.",
+    "fig5-force-displacement": "Fig. 5: measured curve of the tendon, with both printed knees and the stress limit.",
     "fig7-torques": "Fig. 7: torque of closing a digit by 60° per joint, by cause, at three speeds.",
     "fig7-eq10": "Eq. 10 as printed and corrected, for a closing finger.",
-    "fig8-payload": "Payload along each axis for three cylinders, beside the paper's formula and friction's bounds.",
+    "fig8-payload": "Payload along each axis for three cylinders, with the paper's formula and the friction bounds.",
 }
 """Caption of each figure."""
 
@@ -101,8 +101,9 @@ def _summary_text(rows: list[Item]) -> str:
     """Return the number of items per verdict, and the command that regenerates the page."""
     counts = ", ".join(f"{count} {verdict}" for verdict, count in count_by_verdict(rows).items())
     return (
-        f"Of {len(rows)} items: {counts}. `bound` is a lower bound that holds: more was reached than is claimed. "
-        f"Regenerate this page with `{REGENERATE}`. Without the file of results the experiments run again."
+        f"Of {len(rows)} items: {counts}. The verdict `bound` means that the paper states a lower bound and a larger "
+        f"value was reached. Regenerate this page with `{REGENERATE}`. Without the file of results the experiments run "
+        "again."
     )
 
 

@@ -14,12 +14,12 @@ REFERENCE = (
     "Engineering, Jamia Millia Islamia, New Delhi."
 )
 INTRODUCTION = (
-    "This project's hand comes from this paper. The model of the paper is mostly right, but the printed formulas and "
-    "numbers have many errors. Each item below is one printed statement: a term of an equation, a number, a claim. "
-    "The correct value beside it is computed from the paper's own lengths, radii and forces. "
-    "The verdict is derived from the two: by exact arithmetic "
-    "for numbers, by Lagrange's equations at random states for formulas (and by sympy in the tests), and by experiment "
-    "in the simulator for claims about the hand."
+    "The hand `jamia` of this project comes from this paper. The model of the paper is mostly right, but the printed "
+    "formulas and numbers have many errors. Each item below is one printed statement: a term of an equation, a number, "
+    "a claim. The correct value beside it is computed from the paper's own lengths, radii and forces. The verdict "
+    "follows from the printed and the correct value: by exact arithmetic for numbers, by Lagrange's equations at "
+    "random states for formulas (and by sympy in the tests), and by experiment in the simulator for claims about the "
+    "hand."
 )
 
 
@@ -92,11 +92,11 @@ def _kinematics_section() -> PageSection:
     return PageSection(
         "Kinematics (section 4, Eq. 1-2, Fig. 2 and 3)",
         (
-            "Two kinds of angle share the letter θ in the paper. Section 7 states that its own are absolute. Here q "
-            "is the angle of a joint, relative to the link before, and θ is the angle of a link with the x-axis. "
-            "θ = S q with S lower triangular of ones, so θ₁ = q₁, θ₂ = q₁ + q₂, θ₃ = q₁ + q₂ + q₃. By virtual work "
-            "torques transform in the opposite direction: τ = Sᵀ T for the torques at the joints, with T of Eq. 7 to "
-            "12, and M_q = Sᵀ M_θ S.",
+            "The paper uses the letter θ for two kinds of angle. Section 7 states that its angles are absolute. Here q "
+            "is the angle of a joint, relative to the link before, and θ is the angle of a link with the x-axis. θ = S "
+            "q with S lower triangular of ones, so θ₁ = q₁, θ₂ = q₁ + q₂, θ₃ = q₁ + q₂ + q₃. By virtual work, torques "
+            "transform in the opposite direction: the torques at the joints are τ = Sᵀ T, with T of Eq. 7 to 12, "
+            "and the mass matrix is M_q = Sᵀ M_θ S.",
             "Eq. 1-2 are in q, with q₁ = q₂ = q₃ = θ. The tip then moves on a curve. With independent joints it "
             "would reach the shaded area.",
         ),
@@ -109,9 +109,9 @@ def _statics_section() -> PageSection:
     return PageSection(
         "Statics (sections 5 and 6, Fig. 4 and 6)",
         (
-            "A force F across the tip of the straight digit makes a moment at each joint. The tendon's tension is "
-            "taken from joint 1 alone, the motor's torque from the tension, the payload from Coulomb's friction, the "
-            "wire from its allowable stress.",
+            "A force F across the tip of the straight digit causes a moment at each joint. The paper computes the "
+            "tension of the tendon from joint 1 alone, the motor torque from the tension, the payload from Coulomb "
+            "friction, and the wire diameter from the allowable stress.",
         ),
         ("fig4-statics",),
         tuple(statics.statics_items()),
@@ -123,13 +123,13 @@ def _dynamics_section() -> PageSection:
     return PageSection(
         "Dynamics (section 7, Eq. 3-12, Fig. 7)",
         (
-            "Energies and equations of motion in absolute angles θ, term by term. `deviation` is the largest "
-            "difference between the printed and the correct value at 200 random states, relative to the largest "
-            "correct value. With a = (m₂ d₂ + m₃ L₂) L₁, b = m₃ L₁ d₃, e = m₃ L₂ d₃, the corrected equations are "
-            "those of Eq. 10 to 12 below. The thumb's are the same with m₃ = I₃ = 0.",
+            "The table compares energies and equations of motion in absolute angles θ, term by term. `deviation` is "
+            "the largest difference between the printed and the correct value at 200 random states, relative to the "
+            "largest correct value. With a = (m₂ d₂ + m₃ L₂) L₁, b = m₃ L₁ d₃, e = m₃ L₂ d₃, the corrected equations "
+            "are those of Eq. 10 to 12 below. The equations of the thumb are the same with m₃ = I₃ = 0.",
             "The figures show the closing of a digit by 60° per joint, in a vertical plane. Eq. 3-12 describe the "
-            "dynamics of the links only, which are a few percent of the torque. This project's springs and rotor "
-            "make the rest.",
+            "dynamics of the links only, which are a few percent of the torque. The springs and the rotor of "
+            "this project cause the rest.",
         ),
         ("fig7-torques", "fig7-eq10"),
         rows,
@@ -139,7 +139,7 @@ def _dynamics_section() -> PageSection:
 def _assumptions_section() -> PageSection:
     return PageSection(
         "Assumptions that the model does not state",
-        ("Not misprints: places where the paper's parts contradict each other or mechanics.",),
+        ("These items are no misprints, but parts of the paper that contradict each other or the laws of mechanics.",),
         (),
         tuple(assumptions.assumption_items()),
     )
@@ -150,9 +150,9 @@ def _bench_section(measured: Mapping[str, Any]) -> PageSection:
         "Force and displacement, measured (section 5, Fig. 5)",
         (
             "Two fingers of the simulator's bench hand are clamped, and the controller pulls their tendons to 242 N "
-            "over the simulated bus. The displacement is measured by the motors' encoders, the force by the load "
-            "cells. One tendon has section 5's knee, the other the abstract's. The softening beyond the knee is a "
-            "parameter of the simulator, because the paper prints no data.",
+            "over the simulated bus. The encoders of the motors measure the displacement, and the load cells measure "
+            "the force. One tendon has the knee of section 5, and the other has the knee of the abstract. The "
+            "softening beyond the knee is a parameter of the simulator, because the paper prints no data.",
         ),
         ("fig5-force-displacement",),
         tuple(force_displacement.knee_items(measured["force_displacement"])),
@@ -166,10 +166,11 @@ def _payload_section(measured: Mapping[str, Any]) -> PageSection:
         (
             "The controller grips a cylinder so that each finger presses with 6 N (sum of its normal forces in the "
             "plant). The coefficient of friction is 0.5. Then a force at the object's centre grows by 4 N/s until the "
-            "object creeps faster than 1 mm/s or has moved by 2 mm. Along z its weight of 0.05 kg counts as well.",
-            "The hand is upright, and the palm helps. The table also has the paper's 0.915 kg, friction on both sides "
-            "as if fingers and thumb were opposite each other, and Coulomb's bound with the normal forces at the "
-            "beginning of the load. The load changes these forces.",
+            "object creeps faster than 1 mm/s or has moved by 2 mm. Along z the weight of the object (0.05 kg) acts as "
+            "well.",
+            "The hand is upright, and the palm carries a part of the load. The table also has the 0.915 kg of the "
+            "paper, the payload with friction on both sides as if fingers and thumb were opposite each other, and the "
+            "Coulomb bound with the normal forces at the beginning of the load. The load changes the normal forces.",
         ),
         ("fig8-payload",),
         tuple(payload.payload_items(measured["payload"])),

@@ -31,7 +31,7 @@ def verdict_of_number(printed: str, exact: Fraction | float) -> ErrataVerdict:
     return ErrataVerdict.WRONG
 
 
-def verdict_of_carried(
+def verdict_of_derived_number(
     printed: str, exact: Fraction | float, carried: Fraction, source: ErrataVerdict
 ) -> ErrataVerdict:
     """Return the verdict on digits that were computed from digits printed earlier.
@@ -59,11 +59,7 @@ def verdict_of_lower_bound(printed: str, value: float) -> ErrataVerdict:
     The verdict is equal (as a number), else bound, else wrong.
     """
     verdict = verdict_of_number(printed, value)
-    return (
-        ErrataVerdict.BOUND
-        if verdict == ErrataVerdict.WRONG and value > float(printed)
-        else verdict
-    )
+    return ErrataVerdict.BOUND if verdict == ErrataVerdict.WRONG and value > float(printed) else verdict
 
 
 def verdict_of_readings(right: Sequence[bool]) -> ErrataVerdict:
@@ -71,9 +67,7 @@ def verdict_of_readings(right: Sequence[bool]) -> ErrataVerdict:
     return verdict_of_statement(all(right)) if len(set(right)) == 1 else ErrataVerdict.UNDECIDABLE
 
 
-def verdict_of_contradiction(
-    printed: Sequence[str], exact: Fraction | float | None
-) -> ErrataVerdict:
+def verdict_of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> ErrataVerdict:
     """Return the verdict on several printed values for one quantity.
 
     If the printed values differ and there is no exact value, the verdict is undecidable.

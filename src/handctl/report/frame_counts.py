@@ -8,7 +8,7 @@ from handctl.log.read.reader import RunLog
 
 
 class FrameCounts(NamedTuple):
-    """Number of late and lost frames of a run, and of silent ticks that may explain these.
+    """Numbers of late frames, lost frames and silent ticks of a run. Silent ticks may explain late frames.
 
     Attributes:
         late: number of load-cell replies to an older SYNC.
@@ -51,7 +51,7 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
             if frame.bus == node.bus and frame.can_id == node.sync_id and len(frame.data) == node.sync_message.length:
                 sync_counter = frame.data[0] & 0xF if frame.data else 0
                 sync_ns = tick.tick_in.t_ns
-                # An amplifier answers from the end of its set-up on.
+                # An amplifier replies only after its set-up is complete.
                 sync_frames += not silent_ids
         refused += sum(event.number for event in tick.tick_in.io_events if event.kind == "enobufs")
     return FrameCounts(late, refused + node.lost(sync_frames, fresh_frames, late), silent)

@@ -1,7 +1,7 @@
 """Picture of the structure of a hand: buses, motors with spools, load cells, tendons, joints with encoders.
 
-Each digit is drawn as a chain of links. Below the chain, each tendon has a row: from its bus
-through motor, spool, and load cell to the joints it crosses, with the moment arm at each joint.
+Each digit is drawn as a chain of links. Below the chain, each tendon has a row. The row leads from the bus through the
+motor, the spool and the load cell to the joints that the tendon crosses, with the moment arm at each joint.
 """
 
 from collections.abc import Iterator
@@ -16,11 +16,11 @@ from handctl.printing import printable_text
 
 BUS_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
 """Colours of the buses."""
-FLEX = "#333333"
-EXTEND = "#d01c1c"
-LINK = "#b9c3cf"
-CELL = "#d9822b"
-ENCODER = "#3c9d5d"
+FLEXOR_COLOUR = "#333333"
+EXTENSOR_COLOUR = "#d01c1c"
+LINK_COLOUR = "#b9c3cf"
+CELL_COLOUR = "#d9822b"
+ENCODER_COLOUR = "#3c9d5d"
 """Colours of flexors and extensors, links, load cells and joint encoders."""
 MOTOR_X = 0.0
 CELL_X = 1.5
@@ -90,7 +90,7 @@ def text_graph(hand: Hand) -> str:
             drive = (
                 f"{motor.bus}:{motor.node_id} {motor.protocol} {motor.name} (spool {1e3 * motor.spool_radius_m:g} mm)"
             )
-            lines.append(f"  {drive}{cell}- {_label(tendon)}: {arms}")
+            lines.append(f"  {drive}{cell}- {_tendon_label(tendon)}: {arms}")
     if any(joint in node.joints for joint in hand.joints):
         lines += ["", "(j1): a joint with an encoder"]
     return "\n".join(lines)
@@ -105,7 +105,7 @@ def _sensors_text(hand: Hand) -> str:
 
 
 def _arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
-    """Return a moment arm in mm, with ``sign`` + before a positive one. A varying arm has those at both limits."""
+    """Return a moment arm in mm, with ``sign`` + before a positive one. A varying arm is given at both joint limits."""
     arm = tendon.moment_arm_m[joint]
     if not isinstance(arm, dict):
         return f"{1e3 * arm:{sign}g} mm"
@@ -119,7 +119,7 @@ def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
     return [tendon for tendon in hand.tendon if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
 
 
-def _label(tendon: Tendon) -> str:
+def _tendon_label(tendon: Tendon) -> str:
     """Return the name of a tendon, for a spool pair with its pretension."""
     if tendon.pretension_N is None:
         return tendon.name
@@ -136,9 +136,9 @@ def _sensor_node(axes: Any, hand: Hand) -> float:
     """Draw the legend line for the sensor node, and return the height of the line in rows."""
     node = hand.sensor_node
     text = f"{_sensors_text(hand)} on {node.bus}, SYNC 0x{node.sync_id:X}: {len(node.tendons)} load cells"
-    axes.plot(JOINTS_X, -0.1, "s", color=CELL, markersize=7)
+    axes.plot(JOINTS_X, -0.1, "s", color=CELL_COLOUR, markersize=7)
     axes.text(JOINTS_X + 0.2, -0.1, text, va="center", fontsize=7.5)
-    axes.plot(JOINTS_X, -0.6, "o", color="white", markeredgecolor=ENCODER, markeredgewidth=2, markersize=8)
+    axes.plot(JOINTS_X, -0.6, "o", color="white", markeredgecolor=ENCODER_COLOUR, markeredgewidth=2, markersize=8)
     axes.text(JOINTS_X + 0.2, -0.6, f"{len(node.joints)} joint encoders", va="center", fontsize=7.5)
     return 1.5
 
@@ -148,9 +148,9 @@ def _draw_digit(axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, l
     columns = dict(_joint_xs(digit))
     axes.text(JOINTS_X - 0.35, y, digit.name, ha="right", va="center", fontsize=9, weight="bold")
     for (joint, x), length in zip(columns.items(), digit.link_length_m, strict=True):
-        axes.plot([x, x + JOINT_STEP], [y, y], color=LINK, linewidth=7, solid_capstyle="round", zorder=1)
+        axes.plot([x, x + JOINT_STEP], [y, y], color=LINK_COLOUR, linewidth=7, solid_capstyle="round", zorder=1)
         axes.text(x + JOINT_STEP / 2, y, f"{1e3 * length:g} mm", ha="center", va="center", fontsize=7, zorder=3)
-        edge, width = (ENCODER, 2.0) if joint in hand.sensor_node.joints else ("#555555", 1.0)
+        edge, width = (ENCODER_COLOUR, 2.0) if joint in hand.sensor_node.joints else ("#555555", 1.0)
         axes.plot(x, y, "o", color="white", markeredgecolor=edge, markeredgewidth=width, markersize=9, zorder=3)
         axes.text(x, y + 0.35, joint.removeprefix(f"{digit.name}_"), ha="center", va="center", fontsize=7)
     for tendon in _digit_tendons(hand, digit):
@@ -171,19 +171,19 @@ def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float
     crossed = {joint: means[hand.joints.index(joint)] for joint in tendon.moment_arm_m if joint in columns}
     last = max(columns[joint] for joint in crossed)
     axes.plot([_bus_x(bus), MOTOR_X], [y, y], color=colour, linewidth=1.2, zorder=1)
-    axes.plot([MOTOR_X, last + 0.45], [y, y], color=FLEX, linewidth=1.0, zorder=1)
-    axes.plot(last + 0.45, y, "|", color=FLEX, markersize=8)
+    axes.plot([MOTOR_X, last + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1)
+    axes.plot(last + 0.45, y, "|", color=FLEXOR_COLOUR, markersize=8)
     axes.plot(MOTOR_X, y, "o", color="white", markeredgecolor=colour, markeredgewidth=1.6, markersize=15, zorder=2)
     axes.text(MOTOR_X, y, f"{motor.node_id}", ha="center", va="center", fontsize=7, zorder=3)
     spool = f"{motor.name}, {motor.protocol}, spool {1e3 * motor.spool_radius_m:g} mm"
     axes.text(MOTOR_X + 0.2, y + 0.25, spool, ha="left", va="center", fontsize=6.5)
     if tendon.name in hand.sensor_node.tendons:
-        axes.plot(CELL_X, y, "s", color=CELL, markersize=7, zorder=2)
-    axes.text(CELL_X + 0.15, y - 0.27, _label(tendon), ha="left", va="center", fontsize=6.5)
+        axes.plot(CELL_X, y, "s", color=CELL_COLOUR, markersize=7, zorder=2)
+    axes.text(CELL_X + 0.15, y - 0.27, _tendon_label(tendon), ha="left", va="center", fontsize=6.5)
     for joint, arm in crossed.items():
         # A flexor pulls below the joint, an extensor above.
         side = -1.0 if arm > 0.0 else 1.0
-        shade = FLEX if arm > 0.0 else EXTEND
+        shade = FLEXOR_COLOUR if arm > 0.0 else EXTENSOR_COLOUR
         axes.plot(columns[joint], y, "o", color=shade, markersize=4.5, zorder=2)
         axes.text(
             columns[joint], y + 0.3 * side, _arm_text(hand, tendon, joint), ha="center", va="center", fontsize=7,

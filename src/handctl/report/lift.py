@@ -8,8 +8,8 @@ import numpy as np
 from handctl.log.read.reader import RunLog
 from handctl.report.truth import TruthRecord
 
-SUPPORT = "support"
-"""Column of the truth file with the distance the table has sunk [m].
+TABLE_SUNK_COLUMN = "support"
+"""Column of the truth file with the distance by which the table has sunk [m].
 
 Only scenes with a sinking table have this column.
 """
@@ -37,10 +37,10 @@ def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Co
     """
     unknown = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
     t_ns = _hold_times(log, holds) + offset_ns
-    if truth is None or not truth.has(SUPPORT) or not len(t_ns) or not truth.covers(t_ns):
+    if truth is None or not truth.has(TABLE_SUNK_COLUMN) or not len(t_ns) or not truth.covers(t_ns):
         return unknown
     inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
-    sunk = truth.values[inside, truth.columns.index(SUPPORT)]
+    sunk = truth.values[inside, truth.columns.index(TABLE_SUNK_COLUMN)]
     positions = truth.table(["object/x", "object/y", "object/z"], truth.t_ns[inside])[sunk > 0.0]
     slid = float("nan")
     if len(positions):

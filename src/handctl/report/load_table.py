@@ -24,7 +24,7 @@ class TableRow(NamedTuple):
         fd: CAN FD at 1/5 Mbit/s if True, else classical CAN at 1 Mbit/s.
         motors: number of motors.
         per_motor: payload of each frame of one motor in a tick [bytes].
-        shared: payload of each frame that serves all motors: tensions, SYNC [bytes].
+        shared: payload of each frame for all motors, such as tensions and SYNC [bytes].
     """
 
     protocol: str

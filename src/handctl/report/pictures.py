@@ -23,13 +23,13 @@ LOAD_WINDOW_S = 0.1
 """Time window in which the bus load is averaged [s]."""
 PER_ROW = 4
 """Number of hand pictures per row."""
-SLANT = (0.55, 0.3)
+OBLIQUE_SHIFT = (0.55, 0.3)
 """Oblique projection: drawn distance to the right and upwards, per distance along the hinge axes.
 
 This projection separates digits on the same hinge line.
 """
 PALM_COLOUR = "#e3e6ea"
-LIGHT = np.array([0.4, 0.5, -0.77])
+LIGHT_DIRECTION = np.array([0.4, 0.5, -0.77])
 """Direction to the light on meshes, of length 1, in the palm frame."""
 MESH_DPI = 160
 """Resolution of the meshes in a picture [dots per inch]."""
@@ -87,7 +87,7 @@ def _project(points_m: Array) -> Array:
 
     The view is along the hinge axes, at an oblique angle.
     """
-    return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(SLANT)), np.float64)
+    return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(OBLIQUE_SHIFT)), np.float64)
 
 
 def _picture_limits(tree: HandTree, palm: Array) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -109,7 +109,7 @@ def _draw_palm(axes: Any, hand: Hand) -> None:
 
 
 def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
-    """Draw a mesh, the far triangles first and those that face the light brighter.
+    """Draw a mesh, the far triangles first. Triangles that face the light are brighter.
 
     Args:
         axes: axes of the picture.
@@ -121,11 +121,11 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
 
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-    bright = 0.55 + 0.45 * np.abs(normals @ LIGHT)
+    bright = 0.55 + 0.45 * np.abs(normals @ LIGHT_DIRECTION)
     # Points with the same place in the picture differ in z, and the view is towards positive z.
     order = np.argsort(-triangles[:, :, 2].mean(axis=1))
     faces = np.clip(bright[order, None] * np.array(to_rgb(colour)), 0.0, 1.0)
-    # As a picture of points: as lines, the triangles of eight poses would make a page of many megabytes.
+    # The mesh is drawn as a bitmap. As vectors, the triangles of eight poses would need many megabytes.
     axes.add_collection(
         PolyCollection(list(_project(triangles[order])), facecolors=faces, edgecolors=faces, linewidths=0.2,
                        rasterized=True, zorder=1)

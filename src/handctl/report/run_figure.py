@@ -23,11 +23,11 @@ PLANT = "#000000"
 GRID = "#999999"
 FAULT = "#d01c1c"
 """Colours of commands, of the plant, of phase marks and of fault marks."""
-SHADES = (1.0, 0.65, 0.4)
+TENDON_OPACITIES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode)
 """Names of phases before and after the hand is active."""
-ROWS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
+ROW_LABELS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
 """Labels of the rows."""
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
     for column, name in zip(grid.T, hand.digit_names, strict=True):
         column[0].set_title(name, fontsize=11, fontweight="bold")
         column[-1].set_xlabel("time [s]", fontsize=8)
-    for row, label in zip(grid, ROWS, strict=True):
+    for row, label in zip(grid, ROW_LABELS, strict=True):
         row[0].set_ylabel(label)
     for axes in (*grid.flat, *late):
         axes.grid(alpha=0.3)
@@ -114,12 +114,12 @@ def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
     marks = [
         (
             Line2D([], [], color=COLOURS[0], linewidth=1.8),
-            "estimate; tensions and forces: with its 1-sigma band",
+            "estimate, for tensions and forces with its 1-sigma band",
         ),
         (Line2D([], [], color=COMMAND, linewidth=1.0, linestyle="--"), "command"),
     ]
     if truth:
-        marks.append((Line2D([], [], color=PLANT, linewidth=0.8), "plant; forces: sum of its contacts"))
+        marks.append((Line2D([], [], color=PLANT, linewidth=0.8), "plant, for forces the sum of all contact forces"))
     return [mark for mark, _ in marks], [text for _, text in marks]
 
 
@@ -150,8 +150,10 @@ def _draw_tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthReco
     goal = log.field("tension_goal")
     for axes, tendons, colour in zip(row, hand.digit_tendons.values(), digit_colours(hand), strict=True):
         names = hand.tendon_names[tendons]
-        # `SHADES * n` repeats the opacities for digits with more than three tendons.
-        for shade, i, name in zip(SHADES * len(names), range(tendons.start, tendons.stop), names, strict=False):
+        # `TENDON_OPACITIES * n` repeats the opacities for digits with more than three tendons.
+        for shade, i, name in zip(
+            TENDON_OPACITIES * len(names), range(tendons.start, tendons.stop), names, strict=False
+        ):
             axes.plot(log.times, estimate[:, i], color=colour, alpha=shade, linewidth=1.2, label=name)
             low = estimate[:, i] - sigma[:, i]
             high = estimate[:, i] + sigma[:, i]

@@ -156,7 +156,7 @@ def _colour_legend(hand: Hand) -> str:
         f'<span style="color:{colour}">&#9679;</span> {_escaped_text(name)}'
         for name, colour in zip(hand.digit_names, digit_colours(hand), strict=True)
     )
-    note = "by the estimated joint angles; arrows are the estimated force of the object on a fingertip"
+    note = "drawn with the estimated joint angles; arrows are the estimated force of the object on a fingertip"
     return "<p>" + " &nbsp; ".join(marks) + f"; {note}</p>"
 
 

@@ -12,14 +12,14 @@ from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
-from handctl.report.lift import SUPPORT
+from handctl.report.lift import TABLE_SUNK_COLUMN
 from handctl.report.truth import TruthRecord
 
 Array = NDArray[np.float64]
 
 SETTLED_S = 0.5
-"""Time after the last change of the targets in a hold, from which on the hold is judged [s]."""
-STEADY_N = 1.0
+"""Time for which the targets of a hold must have been constant before the hold is judged [s]."""
+MAX_TARGET_CHANGE_N = 1.0
 """Largest change of tension targets that count as constant [N].
 
 In a hold with stiffness the targets follow the noise of the encoders.
@@ -91,7 +91,7 @@ def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
         inside = (log.k >= change.k) & (log.k < end)
         window = inside & in_contact & _settled_mask(inside & moving, inside, log)
         if not window.any() and inside.any():
-            far = np.abs(goal - goal[inside][-1]).max(axis=1) > STEADY_N
+            far = np.abs(goal - goal[inside][-1]).max(axis=1) > MAX_TARGET_CHANGE_N
             window = inside & in_contact & _settled_mask(inside & far, inside, log)
         windows.append(window)
     return windows
@@ -122,7 +122,7 @@ def judge_tracking(
 ) -> dict[str, Any]:
     """Return the tracking error in free motion, from target and truth.
 
-    The error is that of the mean joint angle of each digit, and that of each joint.
+    The errors are those of the mean joint angle of each digit, and of each joint angle.
 
     Args:
         log: log of the run.
@@ -244,7 +244,7 @@ def judge_grasp(
         for name in hand.digit_names
     }
     motion = float("nan")
-    on_table = truth.has(SUPPORT) and not truth.at(SUPPORT, t_ns[settled]).any()
+    on_table = truth.has(TABLE_SUNK_COLUMN) and not truth.at(TABLE_SUNK_COLUMN, t_ns[settled]).any()
     if truth.has("object/x") and not on_table:
         paths = [truth.table(["object/x", "object/y", "object/z"], t_ns[hold]) for hold in holds if hold.any()]
         motion = max(float(np.linalg.norm(path - path[0], axis=1).max() * 1e3) for path in paths)
@@ -304,7 +304,7 @@ def angle_source(hand: Hand, name: str) -> str:
     return "encoders" if set(digit.joint_names) <= set(hand.sensor_node.joints) else "assumed"
 
 
-SOURCES = {
+ANGLE_SOURCE_TEXTS = {
     "excursion": "measured by the tendons",
     "encoders": "measured by joint encoders",
     "assumed": "assumed, not measured",
@@ -321,7 +321,7 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
         error = ""
         if angle["error_deg"] == angle["error_deg"]:  # not NaN
             error = f", {angle['error_deg']:.1f} deg rms error"
-        text = f"{SOURCES[angle['source']]}: sigma {angle['sigma_deg']:.1f} deg{error}"
+        text = f"{ANGLE_SOURCE_TEXTS[angle['source']]}: sigma {angle['sigma_deg']:.1f} deg{error}"
         rows.append((f"{name} joint angles", text))
     return rows
 

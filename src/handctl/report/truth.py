@@ -1,7 +1,4 @@
-"""Reader of the simulator's truth file, for the judgement of a finished run.
-
-The running controller never opens this file.
-"""
+"""Reader of the simulator's truth file, for the evaluation of a finished run. The controller never opens this file."""
 
 import json
 from dataclasses import dataclass
@@ -46,7 +43,7 @@ class TruthRecord:
             LogError: the column is missing because the truth is of another hand.
         """
         if name not in self.columns:
-            raise LogError(f"no column {name!r}", "the simulator's truth", "a truth of the same hand")
+            raise LogError(f"no column {name!r}", "the simulator's truth", "a truth file of the same hand")
         values = self.values[:, self.columns.index(name)]
         # Differences of int64 times are exact in float64. The times themselves are not.
         base = int(self.t_ns[0])

@@ -13,7 +13,7 @@ from handctl.view.viewer import Viewer, launched_viewer
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
-FIRST_NS = 2_000_000_000
+FIRST_PART_NS = 2_000_000_000
 """Length of the first part of the run to send [ns].
 
 The part is short, so that the hand appears at once.
@@ -55,7 +55,7 @@ def browse_log(
             run_parts,
         )  # the import of Rerun overlaps the start of the viewer
 
-        parts = run_parts(path, run, FIRST_NS, scan)
+        parts = run_parts(path, run, FIRST_PART_NS, scan)
         first = list(islice(parts, 2))
         running = launch.ready()
         _send_chunks(running, run, chain.from_iterable(chain(first, parts)))

@@ -18,20 +18,20 @@ from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.styles import style_chunks
 from handctl.view.scene.topic_converters import TopicConverters
-from handctl.view.tail import Tail
+from handctl.view.tail import LogTail
 from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
 
-PERIOD_S = 0.2
+CHECK_PERIOD_S = 0.2
 """Interval between checks for new data in the log [s]."""
 FLUSH_S = 5.0
 """Longest wait for the viewer [s]."""
-APPEAR_S = 30.0
+LOG_FILE_TIMEOUT_S = 30.0
 """Longest wait until the log file exists [s]."""
-QUIET_S = 15.0
-"""Time without growth after which the recorder counts as dead [s]."""
+NO_GROWTH_TIMEOUT_S = 15.0
+"""Time without growth of the log after which the recorder counts as dead [s]."""
 
 
-class Follower:
+class LogFollower:
     """Sender of a growing log to a viewer, step by step."""
 
     def __init__(self, log: Path, run: RunInfo, url: str) -> None:
@@ -44,7 +44,7 @@ class Follower:
         """
         self._run = run
         self._converters = TopicConverters(run)
-        self._tail = Tail(log)
+        self._tail = LogTail(log)
         self._folder = tempfile.TemporaryDirectory(prefix="handctl-follow-")
         self._stream = new_recording(run)
         self._stream.connect_grpc(url, default_blueprint=dashboard(run, live=True))
@@ -103,7 +103,7 @@ def follow(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | Non
     if run is None:
         return
     running = start_viewer(["--expect-data-soon", *arguments], software_vulkan() if headless else {})
-    follower = Follower(log, run, running.url)
+    follower = LogFollower(log, run, running.url)
     try:
         _until_end(follower, running, stop)
         follower.step()
@@ -113,22 +113,22 @@ def follow(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | Non
         follower.close()
 
 
-def _until_end(follower: Follower, running: Viewer, stop: TerminationFlag) -> None:
+def _until_end(follower: LogFollower, running: Viewer, stop: TerminationFlag) -> None:
     """Send new chunks until the log ends, the viewer is closed, a stop is requested, or the log stops growing."""
     news = time.monotonic()
     while not (follower.ended or stop.asked) and running.process.poll() is None:
         start = time.monotonic()
         if follower.step():
             news = start
-        elif start - news > QUIET_S:
+        elif start - news > NO_GROWTH_TIMEOUT_S:
             return
         # A slow step shortens the pause. The minimum leaves the processor to other programs.
-        time.sleep(max(PERIOD_S - (time.monotonic() - start), PERIOD_S / 4))
+        time.sleep(max(CHECK_PERIOD_S - (time.monotonic() - start), CHECK_PERIOD_S / 4))
 
 
 def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
     """Wait for the header of a log, and return the reader, or None after a stop request."""
-    end = time.monotonic() + APPEAR_S
+    end = time.monotonic() + LOG_FILE_TIMEOUT_S
     while not stop.asked:
         try:
             with RunLog(log) as opened:
@@ -136,5 +136,5 @@ def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
         except LogError:
             if time.monotonic() > end:
                 raise
-        time.sleep(PERIOD_S)
+        time.sleep(CHECK_PERIOD_S)
     return None

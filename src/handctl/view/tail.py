@@ -6,7 +6,7 @@ from handctl.log.read.logfile import LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 
 
-class Tail:
+class LogTail:
     """Reader of a growing log, from its start to its end.
 
     Attributes:

@@ -20,9 +20,9 @@ from handctl.runtime.paths import run_dir
 
 LOOPBACK = "127.0.0.1"
 """Address on which the viewer listens. Only this machine can connect."""
-ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
+VULKAN_DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
 """Folders with description files of Vulkan drivers."""
-SOFTWARE_ICD = "lvp_icd*.json"
+SOFTWARE_DRIVER_FILES = "lvp_icd*.json"
 """File pattern of Mesa's lavapipe, Vulkan on the processor.
 
 Pictures then do not depend on a graphics card.
@@ -32,7 +32,7 @@ START_S = 30.0
 """Longest wait for the start of a viewer [s]."""
 END_S = 5.0
 """Longest wait for the end of a viewer [s]."""
-_LISTENS = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
+_ADDRESS_LINE = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
 """Pattern for the line with the address in the viewer's output."""
 
 
@@ -62,7 +62,7 @@ def software_vulkan() -> dict[str, str]:
     """
     if not sys.platform.startswith("linux"):
         return {}
-    drivers = _driver_files(SOFTWARE_ICD) or _driver_files("*.json")
+    drivers = _driver_files(SOFTWARE_DRIVER_FILES) or _driver_files("*.json")
     configured = any(os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"))
     if not _has_loader() or not (drivers or configured):
         raise ConfigError("no Vulkan driver to draw with", "", f"the Debian packages {PACKAGES}")
@@ -71,7 +71,7 @@ def software_vulkan() -> dict[str, str]:
 
 def _driver_files(pattern: str) -> list[Path]:
     """Return the description files of installed Vulkan drivers."""
-    return [path for folder in ICD_FOLDERS for path in sorted(Path(folder).glob(pattern))]
+    return [path for folder in VULKAN_DRIVER_FOLDERS for path in sorted(Path(folder).glob(pattern))]
 
 
 def _has_loader() -> bool:
@@ -116,7 +116,7 @@ class Viewer:
 
 
 @dataclass(frozen=True, slots=True)
-class Launch:
+class StartingViewer:
     """Viewer process that is starting.
 
     Attributes:
@@ -144,7 +144,7 @@ class Launch:
         return Viewer(self.process, url)
 
 
-def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Launch:
+def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> StartingViewer:
     """Start a viewer on a free port of this machine, with its telemetry disabled.
 
     The function does not wait for the viewer.
@@ -159,10 +159,10 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Laun
     exe = str(viewer_path())
     settings = run_dir() / "viewer"
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
-    # The viewer knows no switch for its analytics other than a file in its configuration.
+    # The analytics of the viewer can be disabled only by a file in its configuration folder.
     environ = os.environ | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"} | environment
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
-    notes = tempfile.TemporaryFile()  # noqa: SIM115 (`Launch.ready` closes it)
+    notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.ready` closes it)
     command = [exe, "--bind", LOOPBACK, "--port", "0", *arguments]
     # In a session of its own the viewer is not interrupted by Ctrl-C in the terminal.
     process = subprocess.Popen(
@@ -173,7 +173,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Laun
         stderr=notes,
         start_new_session=True,
     )
-    return Launch(process, notes)
+    return StartingViewer(process, notes)
 
 
 def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewer:
@@ -186,7 +186,7 @@ def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewe
 
 
 @contextmanager
-def launched_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Launch]:
+def launched_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[StartingViewer]:
     """Start a viewer with `launch_viewer`, for the duration of a context.
 
     At the end of the context, the viewer is closed and its temporary files are deleted.
@@ -215,13 +215,13 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
     remaining = START_S
     while remaining > 0:
         try:
-            # The wait for an early end is also the pause between two looks at the output.
+            # This wait for an early end is also the pause between two checks of the output.
             process.wait(0.05)
         except subprocess.TimeoutExpired:
             remaining -= 0.05
         notes.seek(0)
         text = notes.read()
-        listens = _LISTENS.search(text)
+        listens = _ADDRESS_LINE.search(text)
         if listens:
             return listens.group().decode()
         if process.returncode is not None:

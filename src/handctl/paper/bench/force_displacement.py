@@ -33,7 +33,7 @@ The margin for overshoot keeps it below 244 N, where the load cells count as sat
 """
 RATE_N_PER_S = 60.0
 """Rate of the pull [N/s]."""
-LINEAR_N = (30.0, 150.0)
+LINEAR_RANGE_N = (30.0, 150.0)
 """Tension range in which every tendon is linear [N].
 
 The origin of the curve is extrapolated from this range.
@@ -135,19 +135,15 @@ def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
     finite = np.isfinite(travel) & np.isfinite(force)
     travel = travel[finite]
     force = force[finite]
-    straight = (force > LINEAR_N[0]) & (force < LINEAR_N[1])
+    straight = (force > LINEAR_RANGE_N[0]) & (force < LINEAR_RANGE_N[1])
     slope, offset = np.polyfit(travel[straight], force[straight], 1)
     # The linear part meets the axis at -offset / slope.
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (
-        (None, 0.0)
-        if residual <= MAX_NOISE_RESIDUAL * noise
-        else _fit_knee(displacement, force, float(slope))
+        (None, 0.0) if residual <= MAX_NOISE_RESIDUAL * noise else _fit_knee(displacement, force, float(slope))
     )
-    return TendonCurve(
-        float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma
-    )
+    return TendonCurve(float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma)
 
 
 def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
@@ -159,9 +155,7 @@ def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, f
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
     # Every fourth sample: neighbours add cost, but no information about the knee.
-    parameters, covariance = curve_fit(
-        law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
-    )
+    parameters, covariance = curve_fit(law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds)
     return float(parameters[0]), float(np.sqrt(covariance[0, 0]))
 
 
@@ -178,18 +172,15 @@ def knee_items(measured: Mapping[str, Any]) -> list[Item]:
     for place, tendon in zip(("Sec. 5", "Abstract"), curves_of_tendons(measured), strict=True):
         knee_nominal = tendon.knee_nominal
         top = float(tendon.force.max())
-        measured_text = (
-            f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N"
-            if tendon.knee
-            else f"none up to {top:.0f} N"
-        )
+        measured_text = f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N" if tendon.knee else f"none up to {top:.0f} N"
         rows.append(
             Item(
                 f"fig5.measured{knee_nominal:g}", f"Fig. 5, {place}", f"linear up to {knee_nominal:g} N",
                 tendon.knee, "N", verdict,
                 f"Measured on the simulator's bench with a tendon whose knee is at {knee_nominal:g} N: "
-                f"{measured_text}, {tendon.stiffness / 1000:.1f} N/mm below. Each claim has its own curve. "
-                "Only the paper's data could decide, and it prints none.", ("simulator",),
+                f"{measured_text}, with {tendon.stiffness / 1000:.1f} N/mm below the knee. Each claim has its own "
+                "curve. Only data of the paper could decide between the claims, and "
+                "the paper prints none.", ("simulator",),
             )
         )  # fmt: skip
     return rows

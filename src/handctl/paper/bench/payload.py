@@ -27,9 +27,9 @@ AXIS_NAMES = {"x": "out of the palm", "y": "towards the thumb", "z": "down, alon
 """Description of each axis."""
 MASS_KG = 0.05
 """Mass of the cylinder [kg]."""
-STAIRS_N = (20.0, 26.0, 32.0, 38.0, 44.0)
+TENSION_STEPS_N = (20.0, 26.0, 32.0, 38.0, 44.0)
 """Tension steps of the search [N]. The tension for 6 N is interpolated between two steps."""
-STAIR_S = 0.5
+TENSION_STEP_S = 0.5
 """Duration of one tension step [s]."""
 SETTLE_S = 0.8
 """Time before the load begins [s]."""
@@ -37,11 +37,11 @@ LOAD_RATE_N_PER_S = 4.0
 """Rate of the load [N/s]."""
 LOAD_S = 5.5
 """Duration of the load [s]."""
-CREEP_M_PER_S = 1e-3
+SLIP_SPEED_M_PER_S = 1e-3
 """Smallest speed that counts as a slip [m/s]."""
-MOVED_M = 2e-3
+SLIP_DISTANCE_M = 2e-3
 """Smallest distance that counts as a slip [m]."""
-WINDOW_S = 0.1
+SPEED_WINDOW_S = 0.1
 """Window of the creep speed [s]."""
 AVERAGE_ROWS = 100
 """Number of ground-truth rows (one per millisecond) averaged for a steady value."""
@@ -74,42 +74,32 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     """
     names = src.paper_hand().digit_names
     phases = [
-        _hold_phase(f"stair {tension:g}", dict.fromkeys(names, tension), STAIR_S)
-        for tension in STAIRS_N
+        _hold_phase(f"stair {tension:g}", dict.fromkeys(names, tension), TENSION_STEP_S) for tension in TENSION_STEPS_N
     ]
     recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, phases)
-    normals = np.array(
-        [_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases]
-    )
+    normals = np.array([_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases])
     # Interpolation needs rising values, and 1e-6 N makes equal ones rise.
     normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normals = np.full(len(names), float(src.GRIP_FINGER_N))
-    tension = _for_normals(normals, target_normals)
-    recording, truth = _grip_cylinder(
-        folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, SETTLE_S)]
-    )
+    tension = _tension_for_normals(normals, target_normals)
+    recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, SETTLE_S)])
     shortfall = target_normals - _mean_normals(truth, _phase_end_ns(recording, "try"))
-    return {"tension_N": _for_normals(normals, target_normals + shortfall), "began_s": start_s}
+    return {"tension_N": _tension_for_normals(normals, target_normals + shortfall), "began_s": start_s}
 
 
-def _for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
+def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
     """Return the tension of each digit for given normal forces [N].
 
     The normal forces at each tension step (steps, digits) are interpolated.
     """
     names = src.paper_hand().digit_names
-    tension = {
-        name: float(np.interp(target_normals[i], stairs[:, i], STAIRS_N))
-        for i, name in enumerate(names)
-    }
+    tension = {name: float(np.interp(target_normals[i], stairs[:, i], TENSION_STEPS_N)) for i, name in enumerate(names)}
     tension["thumb"] = float(np.mean([tension[name] for name in names if name != "thumb"]))
     return tension
 
 
-def load_until_slip(
-    folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]
-) -> dict[str, Any]:
+def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]) -> dict[str, Any]:
     """Grip the object, load it until it slips, and return the result as plain values."""
     tension = grip["tension_N"]
     hold = _hold_phase("load", tension, SETTLE_S + LOAD_S)
@@ -123,10 +113,7 @@ def load_until_slip(
     weight = MASS_KG * float(src.GRAVITY) if axis == "z" else 0.0
     load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
     # The palm carries the difference of the digits' forces out of the palm.
-    palm = sum(
-        float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0])
-        for name in tension
-    )
+    palm = sum(float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0]) for name in tension)
     times = truth.t_ns[first:end:10]
     moved = np.linalg.norm(_positions(truth, times) - _positions(truth, times)[0], axis=1)
     return {
@@ -184,9 +171,7 @@ def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
     """Return the sum of normal forces of each digit before a time, averaged [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGE_ROWS : end]
-    return [
-        float(truth.at(f"normal/{name}", times).mean()) for name in src.paper_hand().digit_names
-    ]
+    return [float(truth.at(f"normal/{name}", times).mean()) for name in src.paper_hand().digit_names]
 
 
 def _positions(truth: TruthRecord, times: Any) -> Array:
@@ -197,12 +182,12 @@ def _positions(truth: TruthRecord, times: Any) -> Array:
 def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
     """Return the row at which the object slips, and the criterion that was met."""
     positions = _positions(truth, truth.t_ns[first:end])
-    window = round(WINDOW_S * 1000)
+    window = round(SPEED_WINDOW_S * 1000)
     moved = np.linalg.norm(positions - positions[0], axis=1)
-    speed = np.linalg.norm(positions[window:] - positions[:-window], axis=1) / WINDOW_S
+    speed = np.linalg.norm(positions[window:] - positions[:-window], axis=1) / SPEED_WINDOW_S
     crossings = {
-        "moved": np.flatnonzero(moved > MOVED_M),
-        "creep": np.flatnonzero(speed > CREEP_M_PER_S) + window,
+        "moved": np.flatnonzero(moved > SLIP_DISTANCE_M),
+        "creep": np.flatnonzero(speed > SLIP_SPEED_M_PER_S) + window,
     }
     # Creep is seen at the end of its window.
     slips = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]

@@ -77,8 +77,8 @@ def _check_coupling() -> list[Item]:
         Item(
             "coupling.freedom", "Sec. 4", "the rotation angle of first to third link are always equal", float(free), "",
             verdict_of_statement(free == 0),
-            f"One tendon sets one sum of three angles, and {free} remain free. Without contact they are equal only if "
-            "springs are in proportion to the pulleys, and with contact not at all.", ("rank",)),
+            f"One tendon sets one sum of three angles, and {free} motions remain free. Without contact, the angles are "
+            "equal only if the springs are in proportion to the pulleys. With contact, they are not equal.", ("rank",)),
     ]  # fmt: skip
 
 
@@ -106,12 +106,13 @@ def _payload_of_both_sides() -> list[Item]:
         Item(
             "payload.both_sides", "Sec. 5", f"m = {src.PAYLOAD_KG} kg", float(both), "kg",
             verdict_of_number(src.PAYLOAD_KG, both),
-            "Friction is counted on the finger side only. A thumb that holds against 18 N carries the same again.",
+            "The paper counts friction on the finger side only. A thumb that balances 18 N carries "
+            "the same load again.",
             STATICS),
         Item(
             "payload.thumb_limit", "Sec. 5 against Sec. 6", f"m = {src.PAYLOAD_KG} kg", float(limited), "kg",
             verdict_of_number(src.PAYLOAD_KG, limited),
-            "Friction on both sides, with the thumb at its 10 N and the fingers balancing it.", STATICS),
+            "Payload with friction on both sides, if the thumb presses with 10 N and the fingers balance it.", STATICS),
     ]  # fmt: skip
 
 
@@ -121,8 +122,9 @@ def _check_bending() -> Item:
     ratio = float(2 * src.PULLEY_MM) / diameter
     return Item(
         "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", verdict_of_statement(ratio >= BEND_RATIO),
-        f"Pulley to rope diameter. Rope practice requires {BEND_RATIO:g} at least. Bending stress, fatigue, friction, "
-        "return springs and a safety factor are not considered, and 190 MPa is an aluminium's, not a steel rope's.",
+        f"Ratio of pulley diameter to rope diameter. Engineering practice requires at least {BEND_RATIO:g}. The paper "
+        "does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress of 190 MPa "
+        "is usual for aluminium, and not for a steel rope.",
         ("arithmetic",))  # fmt: skip
 
 
@@ -146,5 +148,5 @@ def _check_lift_off() -> Item:
         "grip.middle_link", "Sec. 5", "one tendon, equal pulleys, three phalanges on the object", float(forces[1]), "N",
         verdict_of_statement(bool((forces >= 0.0).all())),
         f"At joint angles of 15, 30 and 45° and 110 N the links would press with {forces[0]:.1f}, {forces[1]:.1f} and "
-        f"{forces[2]:.1f} N: the middle one cannot pull and lifts off, the finger closes onto its stop.",
+        f"{forces[2]:.1f} N. The middle link cannot pull and lifts off, and the finger closes until its stop.",
         STATICS)  # fmt: skip

@@ -97,7 +97,7 @@ KINETIC_3 = (
         "½ m₃ d₃²",
         "m3*d3**2/2",
         "m3*d3**2*dth3**2/2",
-        "θ̇₃² is missing. The term is a constant, which no derivative contains.",
+        "θ̇₃² is missing. As printed, the term is a constant, and its derivatives are zero.",
     ),
     _term(
         "eq5.cross12",
@@ -110,14 +110,14 @@ KINETIC_3 = (
         "½ m₃ 2 L₂ d₂ θ̇₂ θ̇₃ cos(θ₂ − θ₃)",
         "m3*L2*d2*dth2*dth3*cos(th2 - th3)",
         "m3*L2*d3*dth2*dth3*cos(th2 - th3)",
-        "d₂ replaces d₃. Only the dimensions agree.",
+        "d₂ replaces d₃. The dimensions agree, but the value does not.",
     ),
     _term(
         "eq5.cross13",
         "½ m₃ L₁ d₃ θ̇₁ θ̇₃ cos(θ₁ − θ₃)",
         "m3*L1*d3*dth1*dth3*cos(th1 - th3)/2",
         "m3*L1*d3*dth1*dth3*cos(th1 - th3)",
-        "It is outside of the bracket 2[ ]: half the correct value.",
+        "The term is outside of the bracket 2[ ], so it has half the correct value.",
     ),
 )
 POTENTIAL = (
@@ -149,7 +149,7 @@ TORQUE_1 = (
         "[L₁ d₂ + L_L L₂] cos(θ₁ − θ₂) θ̈₂",
         "(L1*d2 + L1*L2)*cos(th1 - th2)*ddth2",
         "(m2*d2 + m3*L2)*L1*cos(th1 - th2)*ddth2",
-        "Both masses are missing; L_L, never defined, is read as L₁.",
+        "Both masses are missing. L_L, which is never defined, is read as L₁.",
         mirror="eq11.coupling12",
     ),
     _term(
@@ -166,7 +166,7 @@ TORQUE_1 = (
         "-(L2*d2 + L1*L2)*sin(th1 - th2)*(dth1 - dth2)*dth2",
         "(m2*d2 + m3*L2)*L1*sin(th1 - th2)*dth2**2",
         "L₂ d₂ replaces L₁ d₂, both masses are missing, and −∂L/∂θ₁ (a term with θ̇₁ θ̇₂) is missing. "
-        "With it the products of speeds cancel.",
+        "With the missing term the products of speeds cancel.",
     ),
     _term(
         "eq10.velocity13",
@@ -212,8 +212,9 @@ TORQUE_2 = (
         "[m₂ d₂ + m₃ L₂] L₁ sin(θ₁ − θ₂)(θ̇₁ − θ̇₂) θ̇₁ + [m₂ d₂ + m₃ L₂] L₁ sin(θ₁ − θ₂) θ̇₁ θ̇₂",
         (f"{_A}*(dth1 - dth2)*dth1 + {_A}*dth1*dth2", f"-{_A}*(dth1 - dth2)*dth1 + {_A}*dth1*dth2"),
         "-(m2*d2 + m3*L2)*L1*sin(th1 - th2)*dth1**2",
-        "The operator before the first bracket is missing, and the sign before the second is wrong. Read with a plus "
-        "the whole term has the wrong sign, read with a minus the products of speeds add up instead of cancelling.",
+        "The operator before the first bracket is missing, and the sign before the second bracket is wrong. If the "
+        "operator is a plus, the whole term has the wrong sign. If it is a minus, the products of speeds add up "
+        "instead of cancelling.",
     ),
     _term(
         "eq11.velocity23",
@@ -253,23 +254,23 @@ TORQUE_3 = (
             "-m3*L2*d3*sin(th2 - th3)*(dth2 - dth3)*dth2 + L2*d3*sin(th2 - th3)*dth2*dth3",
         ),
         "-m3*L2*d3*sin(th2 - th3)*dth2**2",
-        "The mass m₃ is missing in the second part, and the bracket never closes: whether the minus holds for the "
-        "second part as well is not decided.",
+        "The mass m₃ is missing in the second part, and the bracket never closes, so it is unclear whether the "
+        "minus also applies to the second part.",
     ),
     _term(
         "eq12.velocity13",
         "−[ .. + m₃ L₁ d₃ sin(θ₁ − θ₃) θ̇₁ θ̇₃",
         ("-m3*L1*d3*sin(th1 - th3)*dth1*dth3", "m3*L1*d3*sin(th1 - th3)*dth1*dth3"),
         "-m3*L1*d3*sin(th1 - th3)*dth1**2",
-        "−m₃ L₁ d₃ sin(θ₁ − θ₃)(θ̇₁ − θ̇₃) θ̇₁ is missing. With it the products of speeds cancel.",
+        "−m₃ L₁ d₃ sin(θ₁ − θ₃)(θ̇₁ − θ̇₃) θ̇₁ is missing. With this term the products of speeds cancel.",
     ),
     _term(
         "eq12.gravity",
         "−[ .. + + m₃ d₃ g cos θ₃",
         ("m3*d3*g*cos(th3)", "-m3*d3*g*cos(th3)"),
         "m3*d3*g*cos(th3)",
-        "Two plus signs, and a bracket that never closes: read without it the term is right, enclosed by −[ ] its sign "
-        "is wrong, and the torque would pull the finger down.",
+        "The print has two plus signs, and a bracket that never closes. Without the bracket the term is right. Within "
+        "−[ ] its sign is wrong, and the torque would pull the finger down.",
     ),
 )
 KINETIC = KINETIC_1 + KINETIC_2 + KINETIC_3

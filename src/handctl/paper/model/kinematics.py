@@ -72,8 +72,8 @@ def _check_paths() -> list[Item]:
         for i, length in enumerate(_lengths_text("thumb"))
     )
     reason = (
-        f"With equal joint angles q₁ = q₂ = q₃ = θ. The thumb's, not printed, are X = {thumb} "
-        "and the same with sines."
+        f"With equal joint angles q₁ = q₂ = q₃ = θ. The equations of the thumb are not printed. They are "
+        f"X = {thumb}, and the same with sines."
     )
     rows = (("eq1.x", "Eq. 1", "X", EQ1, tips[:, 0]), ("eq2.y", "Eq. 2", "Y", EQ2, tips[:, 1]))
     items_of_path = []
@@ -120,7 +120,7 @@ def _check_general_position() -> list[Item]:
             Item(
                 id, "Sec. 4", f"L₁ {wave} θ₁, L₂ {wave}(θ₁ + θ₂), L₃ {wave}(θ₁ + θ₂ + θ₃)",
                 f"{axis} = {printed.pretty()}", "mm", verdict_of_statement(off < TOLERANCE),
-                "Angles relative to the link before, as q in this project.", ("forward kinematics",), off,
+                "The angles are relative to the link before, as q in this project.", ("forward kinematics",), off,
             )
         )  # fmt: skip
     return items_of_components
@@ -157,10 +157,11 @@ def _check_kind_of_angle() -> Item:
     return Item(
         "sec4-7.angles", "Sec. 4 against Sec. 7", "θ₁, θ₂, θ₃ in both", "θ = S q, S lower triangular of ones", "",
         verdict_of_statement(same),
-        "One letter for two angles: section 4's are those between neighbouring links (q here), as its sums show. "
-        "Section 7 states that its own are absolute. The paper never converts them. At q = 0.3, 0.5, 0.7 rad "
-        f"the sines of Eq. 6 put the tip {1000 * height(q):.2f} mm high with section 4's angles, "
-        f"{1000 * height(absolute):.2f} mm with absolute ones. Section 4 gives {1000 * tip:.2f} mm.",
+        "One letter stands for two kinds of angle. In section 4 it is the angle between neighbouring links (q here), "
+        "as the sums of angles show. Section 7 states that its angles are absolute. The paper never converts the "
+        f"angles. At q = 0.3, 0.5, 0.7 rad the sines of Eq. 6 give a tip height of {1000 * height(q):.2f} mm with the "
+        f"angles of section 4, and {1000 * height(absolute):.2f} mm with absolute angles. The equations of section 4 "
+        f"give {1000 * tip:.2f} mm.",
         ("forward kinematics",))  # fmt: skip
 
 
@@ -173,8 +174,8 @@ def _check_absolute_angles() -> Item:
     return Item(
         "sec7.absolute", "Sec. 7", "θ₁, θ₂ and θ₃ absolute angles with the x-axis", "the angles of Eq. 3 to 12", "",
         verdict_of_statement(abs(height - tip) < TOLERANCE),
-        f"With absolute angles the sines of Eq. 6 put the tip at q = 0.3, 0.5, 0.7 rad {height:.2f} mm high, where "
-        "forward kinematics has it.", ("forward kinematics",))  # fmt: skip
+        f"With absolute angles, the sines of Eq. 6 give a tip height of {height:.2f} mm at q = 0.3, 0.5, 0.7 rad, as "
+        "forward kinematics does.", ("forward kinematics",))  # fmt: skip
 
 
 def _check_inverse() -> Item:
@@ -196,5 +197,6 @@ def _check_inverse() -> Item:
     return Item(
         "sec4.inverse", "Sec. 4", "(not printed)", "forward(inverse(X, Y, θ)) = (X, Y, θ)", "",
         verdict_of_statement(worst < 1e-12),
-        "The inverse, in closed form: forward after inverse kinematics at 200 random poses, all solutions.",
+        "Forward kinematics of every solution of the inverse kinematics (closed form) returns the tip, at 200 random "
+        "poses.",
         ("forward kinematics",), worst)  # fmt: skip

@@ -27,7 +27,7 @@ STATES = 200
 """Number of random states."""
 TOLERANCE = 1e-9
 """Largest relative difference that counts as rounding. The smallest misprint causes about 0.1."""
-STEP = 1e-30
+COMPLEX_STEP = 1e-30
 """Size of the complex step.
 
 The method has no subtraction, so the step may be arbitrarily small. Source: Squire & Trapp (1998).
@@ -55,9 +55,7 @@ def random_states() -> States:
     values: dict[str, Array] = {}
     for name in sorted(DIMENSIONS):
         moves = "th" in name
-        values[name] = (
-            random.normal(scale=1.5, size=STATES) if moves else random.uniform(0.5, 2.0, STATES)
-        )
+        values[name] = random.normal(scale=1.5, size=STATES) if moves else random.uniform(0.5, 2.0, STATES)
     return values
 
 
@@ -94,29 +92,24 @@ def _momentum_rate(states: States, i: int) -> Array:
     for j in (1, 2, 3):
         # The total derivative by time: angles move with their rates, rates with their
         # accelerations.
-        moved[f"th{j}"] = states[f"th{j}"] + 1j * STEP * states[f"dth{j}"]
-        moved[f"dth{j}"] = states[f"dth{j}"] + 1j * STEP * states[f"ddth{j}"]
+        moved[f"th{j}"] = states[f"th{j}"] + 1j * COMPLEX_STEP * states[f"dth{j}"]
+        moved[f"dth{j}"] = states[f"dth{j}"] + 1j * COMPLEX_STEP * states[f"ddth{j}"]
     # K is quadratic in the rates: (K(r + 1) - K(r - 1)) / 2 is exactly its derivative.
     rate = f"dth{i}"
-    above, below = (
-        _energy(equations.KINETIC, {**moved, rate: moved[rate] + unit}) for unit in (1.0, -1.0)
-    )
-    return np.asarray(np.imag((above - below) / 2.0) / STEP)
+    above, below = (_energy(equations.KINETIC, {**moved, rate: moved[rate] + unit}) for unit in (1.0, -1.0))
+    return np.asarray(np.imag((above - below) / 2.0) / COMPLEX_STEP)
 
 
 def _lagrangian_slope(states: States, i: int) -> Array:
     """Return ∂L/∂θ_i."""
-    moved = {**states, f"th{i}": states[f"th{i}"] + 1j * STEP}
+    moved = {**states, f"th{i}": states[f"th{i}"] + 1j * COMPLEX_STEP}
     lagrangian = _energy(equations.KINETIC, moved) - _energy(equations.POTENTIAL, moved)
-    return np.asarray(np.imag(lagrangian) / STEP)
+    return np.asarray(np.imag(lagrangian) / COMPLEX_STEP)
 
 
 def term_items() -> list[Item]:
     """Return one item for each term of Eq. 3 to 6 and 10 to 12."""
-    return [
-        _term_item(term)
-        for term in (*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ()))
-    ]
+    return [_term_item(term) for term in (*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ()))]
 
 
 def _term_item(term: Term) -> Item:
@@ -126,11 +119,7 @@ def _term_item(term: Term) -> Item:
     deviations = [relative_deviation(reading.value(states), correct) for reading in term.readings]
     verdict = verdict_of_readings([value < TOLERANCE for value in deviations])
     # Dimensions and symmetry are evidence that a reader can check by hand.
-    faults = (
-        []
-        if verdict == ErrataVerdict.EQUAL
-        else [_dimension_evidence(term), _symmetry_evidence(term)]
-    )
+    faults = [] if verdict == ErrataVerdict.EQUAL else [_dimension_evidence(term), _symmetry_evidence(term)]
     return Item(
         term.id, term.where, term.printed, term.right.pretty(), "", verdict, term.why,
         (*filter(None, faults), "Lagrange"), min(deviations),
@@ -152,16 +141,9 @@ def _symmetry_evidence(term: Term) -> str:
     """Return evidence if a printed coefficient differs from that of its mirror term, else an empty tuple."""
     if not term.mirror:
         return ""
-    mirror = next(
-        other for terms in equations.TORQUES for other in terms if other.id == term.mirror
-    )
+    mirror = next(other for terms in equations.TORQUES for other in terms if other.id == term.mirror)
     unit_states = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
-    differs = (
-        relative_deviation(
-            term.readings[0].value(unit_states), mirror.readings[0].value(unit_states)
-        )
-        > TOLERANCE
-    )
+    differs = relative_deviation(term.readings[0].value(unit_states), mirror.readings[0].value(unit_states)) > TOLERANCE
     return f"symmetry with {mirror.where}" if differs else ""
 
 
@@ -174,8 +156,7 @@ def equation_items() -> list[Item]:
     states = finger_states(digit)
     model = model_torques(digit, states)
     by_lagrange = max(
-        relative_deviation(mine, theirs)
-        for mine, theirs in zip(model, lagrange_torques(states), strict=True)
+        relative_deviation(mine, theirs) for mine, theirs in zip(model, lagrange_torques(states), strict=True)
     )
     items = [
         Item(
@@ -195,8 +176,8 @@ def equation_items() -> list[Item]:
                 f"eq{10 + i}.sum", f"Eq. {10 + i}", f"T{'₁₂₃'[i]} = sum of {len(terms)} terms",
                 " + ".join(term.right.pretty() for term in terms).replace("+ −", "− "), "",
                 verdict_of_statement(off < TOLERANCE),
-                f"Not right as printed: {', '.join(wrong)}. Corrected, it is what the control loop of this project "
-                f"computes, {_agreement_text(rest)} at {STATES} random states.",
+                f"These terms are wrong as printed: {', '.join(wrong)}. The corrected equation gives the torque that "
+                f"the control loop of this project computes, {_agreement_text(rest)} at {STATES} random states.",
                 ("Lagrange", "this project's dynamics"), off,
             )
         )  # fmt: skip

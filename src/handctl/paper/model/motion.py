@@ -111,9 +111,9 @@ def _check_static_torque() -> Item:
     return Item(
         "eq10.static", "Eq. 10", f"T₁ = {printed[0]:.3g} N m", joint, "N m",
         verdict_of_statement(bool(abs(printed[0] - joint) < 1e-9 * abs(joint))),
-        "Torque at joint 1 that holds the straight finger up against its weight: Eq. 10 would let it fall. Corrected, "
-        f"T₁ alone is {1000 * right[0]:.4g} mN m, which belongs to the absolute angle θ₁. The joint must hold "
-        f"τ₁ = T₁ + T₂ + T₃ = {1000 * joint:.4g} mN m.", ("statics", "virtual work"))  # fmt: skip
+        "Torque at joint 1 that holds the straight finger up against its weight. With Eq. 10 the finger would fall. "
+        f"The corrected T₁ alone is {1000 * right[0]:.4g} mN m, which belongs to the absolute angle θ₁. The joint must "
+        f"hold τ₁ = T₁ + T₂ + T₃ = {1000 * joint:.4g} mN m.", ("statics", "virtual work"))  # fmt: skip
 
 
 def _check_completeness() -> Item:
@@ -130,10 +130,11 @@ def _check_completeness() -> Item:
     return Item(
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",
         verdict_of_readings([True, links_peak > 0.5 * driven_peak]),
-        f"Peak tension of closing a finger by {CLOSED_DEG:g}° in {fast.duration:g} s, by the links' dynamics, which is "
-        "all that Eq. 3 to 12 describe. It is complete if the actuator has no inertia. The paper prints none. With "
-        f"this project's rotor it is {driven_peak:.1f} N. This project's return springs (peak "
-        f"{fast.tension('springs'):.1f} N) are no part of the paper's hand.", ("this project's dynamics",))  # fmt: skip
+        f"Peak tension for closing a finger by {CLOSED_DEG:g}° in {fast.duration:g} s with the dynamics of the links "
+        "only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no inertia, and the paper "
+        f"states no inertia. With the rotor of this project the peak is {driven_peak:.1f} N. The return springs of "
+        f"this project (peak {fast.tension('springs'):.1f} N) are not part "
+        "of the paper's hand.", ("this project's dynamics",))  # fmt: skip
 
 
 def _check_torque_value() -> Item:
@@ -148,6 +149,7 @@ def _check_torque_value() -> Item:
         "sec8.torque", "Sec. 8", "dynamic modeling suggested the approximate value of the torque", peak, "mN m",
         verdict_of_statement(bool(numbers)),
         f"No value is printed: each of the {len(terms)} terms of Eq. 10 to 12 has symbols, whose values "
-        "(masses, centres of mass, inertias, a motion) the paper does not give. With this project's, closing by "
-        f"{CLOSED_DEG:g}° in {fast.duration:g} s takes this much at its peak, in the finger's one coordinate.",
+        "(masses, centres of mass, inertias, a motion) the paper does not give. With the values of this "
+        f"project, closing by {CLOSED_DEG:g}° in {fast.duration:g} s requires this peak torque, in the only coordinate "
+        "of the finger.",
         ("count", "this project's dynamics"))  # fmt: skip

@@ -8,8 +8,8 @@ from handctl.paper.item import Item
 from handctl.paper.model.expression import NONE, Dimension, DimensionError, Expression
 from handctl.paper.verdicts import (
     rounding_interval,
-    verdict_of_carried,
     verdict_of_contradiction,
+    verdict_of_derived_number,
     verdict_of_number,
     verdict_of_statement,
 )
@@ -184,7 +184,7 @@ def _check_finger() -> list[Item]:
         f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
     # The paper computes the torque from the rounded tension, so the rounding is carried on.
     carried = Fraction("18.33") * src.SPOOL_MM / 1000
-    verdict = verdict_of_carried("0.09165", torque, carried, tension_item.verdict)
+    verdict = verdict_of_derived_number("0.09165", torque, carried, tension_item.verdict)
     torque_item = Item(
         "sec5.torque", "Sec. 5", "0.09165 F", float(torque), "N m per N", verdict,
         f"Computed from the rounded 18.33. At 6 N: {float(6 * torque):g} N m.", ARITHMETIC)  # fmt: skip
@@ -203,7 +203,7 @@ def _check_payload() -> list[Item]:
         "kg",
         "μ F/g = 0.5 × 6/9.81, truncated instead of rounded.",
     )
-    verdict = verdict_of_carried("0.915", three, 3 * Fraction("0.305"), first.verdict)
+    verdict = verdict_of_derived_number("0.915", three, 3 * Fraction("0.305"), first.verdict)
     force = src.GRAVITY / (src.FINGERS * src.FRICTION)
     tension = src.tension_of_payload_kg(1)
     return [
@@ -211,8 +211,8 @@ def _check_payload() -> list[Item]:
         Item("sec5.payload3", "Sec. 5", "0.915", float(three), "kg", verdict, "3 × the truncated 0.305.", ARITHMETIC),
         number_item(
             "abstract.payload", "Abstract", "1", three, "kg",
-            "The abstract's maximum load is that of section 5, 0.917 kg at 6 N a finger, to one digit. A whole "
-            f"kilogram needs {float(force):.4g} N a finger and {float(tension):.4g} N in the tendon."),
+            "The maximum load of the abstract is the load of section 5 to one digit, 0.917 kg at 6 N per finger. A "
+            f"whole kilogram needs {float(force):.4g} N per finger and {float(tension):.4g} N in the tendon."),
     ]  # fmt: skip
 
 
@@ -220,16 +220,14 @@ def _check_wire() -> list[Item]:
     """Check the wire diameters."""
     tension = src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
-    low, high = (
-        src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in rounding_interval("0.866")
-    )
+    low, high = (src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in rounding_interval("0.866"))
     return [
         number_item(
             "sec5.wire", "Sec. 5", "0.866", diameter, "mm",
             f"√(4 × {float(tension):g}/(π 190)). 0.866 mm belongs to {float(low):.4g} to {float(high):.4g} N."),
         number_item(
             "abstract.wire", "Abstract", "0.86", diameter, "mm",
-            "The wire of that load: 0.917 kg, which the abstract rounds to 1 kg. Here the digits are right, unlike in "
+            "This is the wire for 0.917 kg, which the abstract rounds to 1 kg. Here the digits are right, unlike in "
             f"section 5. A whole kilogram would need {src.wire_diameter_mm(src.tension_of_payload_kg(1)):.4g} mm."),
         _check_area(),
     ]  # fmt: skip
@@ -249,7 +247,7 @@ def _check_area() -> Item:
         holds = False
     return Item(
         "sec5.area", "Sec. 5", "A = π d2/4", right.pretty(), "", verdict_of_statement(holds),
-        "The exponent is on the base line: as printed it is a length.", ("dimensions",))  # fmt: skip
+        "The exponent is printed on the base line. As printed, the result is a length.", ("dimensions",))  # fmt: skip
 
 
 def _check_knee() -> list[Item]:
@@ -260,8 +258,7 @@ def _check_knee() -> list[Item]:
     claims = [str(value) for value in src.KNEES_N]
     verdict = verdict_of_contradiction(claims, None)
     reason = (
-        "Section 5 states 200 N, the abstract 250 N. "
-        "The paper prints neither data nor a law from which one follows."
+        "Section 5 states 200 N, the abstract 250 N. The paper prints no data and no law that give the knee."
     )
     return [
         Item(
@@ -290,7 +287,7 @@ def _check_thumb() -> list[Item]:
         " Fₜ",
     )
     carried = Fraction("8.33") * src.SPOOL_MM / 1000
-    verdict = verdict_of_carried("0.04165", torque, carried, first.verdict)
+    verdict = verdict_of_derived_number("0.04165", torque, carried, first.verdict)
     wire = src.wire_diameter_mm(src.GRIP_THUMB_N * tension)
     return [
         _missing_radius(),
@@ -308,11 +305,10 @@ def _missing_radius() -> Item:
     """Compute the radius missing in print from the printed 8.33 F."""
     printed = "r_p = mm"
     # The interval of 8.33 gives an interval of radii, and one whole millimetre is in it.
-    low, high = sorted(
-        src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33")
-    )
+    low, high = sorted(src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33"))
     whole = [radius for radius in range(1, 10) if low <= radius <= high]
     return Item(
         "sec6.pulley", "Sec. 6", printed, float(whole[0]), "mm", verdict_of_statement(f"= {whole[0]} mm" in printed),
-        f"The number is missing. 8.33 F implies {float(low):.4f} to {float(high):.4f} mm: the fingers' 3 mm.",
+        f"The number is missing. 8.33 F implies {float(low):.4f} to {float(high):.4f} mm, which is the 3 mm of the "
+        "fingers.",
         ("back-computed",))  # fmt: skip

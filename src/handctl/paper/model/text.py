@@ -54,13 +54,14 @@ def _check_degrees_of_freedom() -> list[Item]:
              f"{spread} joints.", COUNT),
         Item("abstract.joints_each", "Abstract, Sec. 1", "each finger having three DOF", min(joints), "",
              verdict_of_readings([verdict_of_number("3", count) == verdict_of_number("3", 3) for count in joints]),
-             f"True of the fingers, not of the thumb: with {each} each it would be {each * len(joints)}, not {total}. "
-             "The paper does not state whether the thumb counts as a finger.", COUNT),
+             f"This is true for the fingers, and not for the thumb: with {each} each the sum would be "
+             f"{each * len(joints)}, not {total}. The paper does not state whether the thumb "
+             "counts as a finger.", COUNT),
         Item("abstract.freedom_each", "Abstract", "every finger and thumb has one degree of freedom", max(ranks), "",
              verdict_of_number("1", max(ranks)),
-             f"True of what the motors control: the tendons of each digit have rank 1, {sum(ranks)} in all, for "
-             f"{total} joints. It contradicts the three DOF two sentences before. The paper never "
-             "distinguishes the two.",
+             f"This is true for the motions that the motors control: the tendons of each digit have rank 1, "
+             f"{sum(ranks)} in all, for {total} joints. It contradicts the three DOF two sentences before. The paper "
+             "never distinguishes joints from controlled motions.",
              COUNT),
     ]  # fmt: skip
 
@@ -76,8 +77,8 @@ def _check_palm_joint() -> Item:
         "sec3.palm", "Sec. 3", "the joint in the palm link is fixed; one in both the median and distal connections",
         len(angles), "", verdict_of_readings(readings),
         f"If the finger's first joint is meant, {joints - 1} joints move, against the {len(angles)} angles of Eq. 1 to "
-        f"12 and the 11 DOF of the abstract. If the palm is meant, as the foundation that the next sentence speaks of, "
-        f"it is right, and the first of {joints} joints is not mentioned.", COUNT)  # fmt: skip
+        f"12 and the 11 DOF of the abstract. If the palm is meant, which the next sentence calls the foundation, the "
+        f"statement is right, and the first of {joints} joints is not mentioned.", COUNT)  # fmt: skip
 
 
 def _check_number_of_fingers() -> Item:
@@ -104,8 +105,8 @@ def _check_phalanges() -> Item:
     return Item(
         "sec1.fingers", "Sec. 1", "three fingers: the first is proximal, the second middle, the third distal",
         "the three phalanges of one finger", "", verdict_of_statement(apart),
-        "These are the links of each finger, as section 4 says: the energy of the second (Eq. 4) depends on the "
-        "first's rate.", ("Eq. 4", "Eq. 5"))  # fmt: skip
+        "These are the links of each finger, as section 4 says: the energy of the second link (Eq. 4) depends on "
+        "the rate of the first link.", ("Eq. 4", "Eq. 5"))  # fmt: skip
 
 
 def _find_undefined_symbols() -> Item:
@@ -114,7 +115,7 @@ def _find_undefined_symbols() -> Item:
     undefined = sorted(_printed_symbols() - defined)
     return Item(
         "eq10.symbols", "Eq. 10", ", ".join(undefined), "L₁, m₁", "", verdict_of_statement(not undefined),
-        "Symbols in Eq. 3 to 12 that the paper never defines. Both are in Eq. 10.", COUNT)  # fmt: skip
+        "The paper never defines these symbols. Both are in Eq. 10.", COUNT)  # fmt: skip
 
 
 def _printed_symbols() -> set[str]:

@@ -9,7 +9,7 @@ from handctl.view.scene.run_info import RunInfo
 
 LINKED = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
 NO_LEGEND = rrb.PlotLegend(visible=False)
-ROWS = [0.34, 0.44, 0.22]
+ROW_HEIGHTS = [0.34, 0.44, 0.22]
 """Heights of the right column's rows, as fractions."""
 HEADROOM = 1.06
 """Height of the tension plot, as a multiple of the largest tension limit."""
@@ -22,7 +22,7 @@ LAST_SECONDS = rrb.VisibleTimeRange(
 Window = list[rrb.VisibleTimeRange] | None
 BACKGROUND = (17, 21, 27)
 """Background colour of the hand view: red, green, blue, 0 to 255."""
-EYE = (1.5, -0.75, 1.0)
+CAMERA_POSITION = (1.5, -0.75, 1.0)
 """Position of the camera in hand lengths: in front of the palm, on the thumb side, and above."""
 
 
@@ -38,7 +38,9 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
     """
     window = [LAST_SECONDS] if live else None
     left = rrb.Vertical(_hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26])
-    right = rrb.Vertical(_force_plots(run, window), _angle_plots(run, window), _state_lanes(window), row_shares=ROWS)
+    right = rrb.Vertical(
+        _force_plots(run, window), _angle_plots(run, window), _state_lanes(window), row_shares=ROW_HEIGHTS
+    )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.40, 0.60]),
         rrb.TopPanel(state=PanelState.Hidden),
@@ -62,7 +64,7 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
         background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            position=middle + run.reach * np.array(EYE), look_target=middle, eye_up=(0, 0, 1)
+            position=middle + run.reach * np.array(CAMERA_POSITION), look_target=middle, eye_up=(0, 0, 1)
         ),
     )
 

@@ -29,7 +29,7 @@ def entity_path(path: str) -> str:
 
 
 def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
-    """Yield a part of the hand from the log's URDF, as a solid, or nothing of a link with a mesh.
+    """Yield a part of the hand from the log's URDF as a solid. A link with a mesh yields nothing.
 
     Rerun draws wire frames by default.
     """

@@ -13,10 +13,10 @@ from handctl.view.scene.arrow import static_chunk, timed_chunk
 from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 
-PERIOD_NS = 20_000_000
+POSE_PERIOD_NS = 20_000_000
 """Interval between poses [ns], equal to that of the link transforms."""
 COLOURS = {"object": Colour(216, 206, 186), "table": Colour(112, 122, 134)}
-POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """Columns of the object's pose, in Rerun's order of a quaternion."""
 
 
@@ -31,7 +31,7 @@ def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
     described = run.truth.header.get("shapes")
     shapes = described if isinstance(described, Mapping) else {}
     offset = run.header.truth_offset_ns
-    times = np.arange(int(run.truth.t_ns[0]), int(run.truth.t_ns[-1]), PERIOD_NS)
+    times = np.arange(int(run.truth.t_ns[0]), int(run.truth.t_ns[-1]), POSE_PERIOD_NS)
     times = times[times >= offset]
     for name in COLOURS.keys() & shapes.keys():
         yield static_chunk(f"/true/{name}", _solid_shape(shapes[name], COLOURS[name]))
@@ -67,7 +67,7 @@ def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
 
 def _object_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
     """Return position [m] and quaternion x, y, z, w of the object, one row per time."""
-    pose = truth.table([f"object/{part}" for part in POSE], times)
+    pose = truth.table([f"object/{part}" for part in POSE_COLUMNS], times)
     return pose[:, :3], pose[:, 3:]
 
 
