@@ -9,8 +9,9 @@ DIGITS_WITH_COLOUR = ("index", "middle", "ring", "thumb")
 def colour_numbers(digit_names: Sequence[str]) -> tuple[int, ...]:
     """Return the number of each digit's colour in a palette.
 
-    The digits in DIGITS_WITH_COLOUR have the first numbers. The other digits of the hand have the next numbers, in
-    order. A hand without such digits begins with the first number. A number may be larger than a palette.
+    The digits in DIGITS_WITH_COLOUR have the first numbers. The other digits of the hand have the
+    next numbers, in order. In a hand without such digits, the other digits have the first numbers.
+    A number may be larger than a palette.
     """
     others = [name for name in digit_names if name not in DIGITS_WITH_COLOUR]
     first = 0 if len(others) == len(digit_names) else len(DIGITS_WITH_COLOUR)

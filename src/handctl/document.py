@@ -1,6 +1,6 @@
 """Task, gains and calibration files: TOML as validated, frozen documents.
 
-Every mistake becomes one line with file, key path, value, and expected value.
+Each mistake is reported in one line with file, key path, value, and expected value.
 """
 
 import json
@@ -44,7 +44,8 @@ def load_document(path: Path, model: type[D]) -> D:
 def validate_content(content: Mapping[str, Any], model: type[D], source: str) -> D:
     """Validate content parsed from TOML.
 
-    The content goes through JSON. Strict JSON validation accepts a list as tuple and 1 as float, but refuses true.
+    The content goes through JSON. Strict JSON validation accepts a list as tuple and 1 as float,
+    but refuses true.
 
     Raises:
         ConfigError: a key or value is wrong.
@@ -56,9 +57,10 @@ def validate_content(content: Mapping[str, Any], model: type[D], source: str) ->
 
 
 def _error_line(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str) -> ConfigError:
-    """Return the most specific error of pydantic. An unknown key comes before the key that is missing because of it.
+    """Return the most specific error of pydantic.
 
-    Otherwise the deepest error is returned. Among the alternatives of a union it belongs to the intended one.
+    An unknown key is returned before a missing key, because a misspelt key is both. Otherwise the
+    deepest error is returned. For a union, the error is that of the intended alternative.
     """
     details = error.errors(include_url=False)
     deepest = max(details, key=lambda d: len(_without_tags(content, d["loc"], d["type"])))

@@ -1,9 +1,9 @@
-"""Errors that reach the user. Each is one line: the mistake, its place, and the expected value."""
+"""Errors that are reported to the user. Each is one line: the mistake, its place, and the expected value."""
 
 from handctl.printing import one_line_message
 
 REMOVE_POWER = "REMOVE POWER"
-"""Marks a failure after which a motor may still have torque. Only the operator can end it."""
+"""Marks a failure after which a motor may still have torque. Only the operator can remove this torque."""
 
 
 class HandctlError(Exception):
@@ -13,8 +13,8 @@ class HandctlError(Exception):
 
     Args:
         what: the mistake, with the wrong value.
-        where: key path, node, or file and offset. Empty without a place.
-        right: the expected value. Empty without a suggestion.
+        where: key path, node, or file and offset. It is empty without a place.
+        right: the expected value. It is empty without a suggestion.
     """
 
     def __init__(self, what: str, where: str = "", right: str = "") -> None:
@@ -47,7 +47,7 @@ class UnconfirmedError(PowerError, BusError):
     Args:
         bus: bus of the controller.
         word: request, e.g. ``stop``.
-        why: event instead of the confirmation.
+        why: event that came instead of the confirmation.
     """
 
     def __init__(self, bus: str, word: str, why: str) -> None:

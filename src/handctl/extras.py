@@ -1,6 +1,7 @@
-"""Optional packages: which verb needs which, and which extra of handctl installs it.
+"""Optional packages: the verbs that need them, and the extras of handctl that install them.
 
-``pip install handctl`` installs what a controller on a real bus needs. Everything else is an extra in pyproject.toml.
+``pip install handctl`` installs what a controller on a real bus needs. All other packages belong to
+an extra in pyproject.toml.
 """
 
 import sys
@@ -55,7 +56,7 @@ def is_installed(package: str) -> bool:
 
 
 def extras_installed() -> dict[str, bool]:
-    """Return each extra, and whether all of its packages are installed."""
+    """Return for each extra True if all its packages are installed."""
     return {
         extra: all(is_installed(package) for package, other in EXTRAS.items() if other == extra)
         for extra in EXTRAS.values()
@@ -70,7 +71,7 @@ def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:
         error: the failed import.
 
     Returns:
-        The error that names the extra; None if the package is not an optional one.
+        The error that names the extra, or None if the package is not an optional one.
     """
     package = (error.name or "").partition(".")[0]
     return MissingExtraError(user, package) if package in EXTRAS else None

@@ -1,13 +1,14 @@
-"""Loads the stored code of kernels without the parts of numba that only compilation needs.
+"""Loading of stored kernels without the parts of numba that only compilation needs.
 
 numba loads a stored function by three steps that take most of the time. First, numba registers all
 types and functions that can be compiled. Second, it imports the modules of the numba functions that
 the stored function contains. Third, it parses the intermediate code (bitcode) of the stored
 function, which other functions need to inline it. A program that finds all kernels in the folder
-compiles nothing, and needs none of them. numba registers its types if it compiles later, and the
-bitcode of a kernel is parsed if another kernel calls it.
+compiles nothing, and needs none of these steps. numba registers its types if it compiles later, and
+the bitcode of a kernel is parsed if another kernel calls it.
 
-These steps are internal to numba. They are left out only for the versions of numba in ``TESTED_VERSIONS``.
+These steps are internal to numba. They are left out only for the versions of numba in
+``TESTED_VERSIONS``.
 """
 
 from collections.abc import Iterator
@@ -69,7 +70,7 @@ def _without_compiler(context: Any) -> Iterator[None]:
 
 
 def _do_nothing() -> None:
-    """Stand in for the registration of types."""
+    """Do nothing, in place of the registration of types."""
 
 
 def _without_module(module: str, constants: list[Any], name: str) -> Any:
@@ -108,6 +109,6 @@ def _parsed(library: Any, bitcode: bytes) -> Any:
 
 
 def _get_executable(rebuild: Any, library: Any, function: Any, environment: Any) -> Any:
-    """Return the Python function of a library. numba looks its name up among those of the parsed bitcode."""
+    """Return the Python function of a library. numba would look up its name in the parsed bitcode."""
     library.codegen._engine._defined_symbols.add(function.llvm_cpython_wrapper_name)
     return rebuild(library, function, environment)

@@ -14,7 +14,7 @@ from handctl.errors import ConfigError
 NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
 """Errors of file systems without links, such as FAT on a memory stick."""
 LOG_SUFFIX, LOG_MAGIC = ".mcap", b"\x89MCAP0\r\n"
-"""Suffix and first bytes of a log. Outputs never overwrite a log."""
+"""Suffix and first bytes of a log. An output never overwrites a log."""
 FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
 """Suffixes that select the format of a figure. Every other suffix gives PNG."""
 
@@ -23,8 +23,9 @@ FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
 def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
     """Yield a temporary path, and move it to ``path`` when its content is on the disk.
 
-    A reader finds the old file or the new file, also after a power cut. A failed output leaves no file. Links are
-    followed. An existing terminal or pipe is written directly.
+    After a power cut, too, the path leads to the complete old file or the complete new file. A
+    failed output leaves no file. Links are followed. An existing terminal or pipe is written
+    directly.
 
     Args:
         path: path of the output.

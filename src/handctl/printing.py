@@ -1,7 +1,8 @@
-"""Safe text output. Text from files, logs and arguments can neither control a terminal nor fill it.
+"""Safe text output.
 
-Characters that are not printable are escaped as in Python source: control characters, terminal escapes, marks of text
-direction, and lone surrogates.
+Text from files, logs and arguments is printed so that it cannot control a terminal or fill the
+screen. Characters that are not printable are escaped as in Python source: control characters,
+terminal escapes, marks of text direction, and lone surrogates.
 """
 
 import difflib
@@ -53,11 +54,11 @@ def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
 
 
 def one_line_message(text: str, most: int = LONGEST_MESSAGE) -> str:
-    """Return one line of bounded length. Line ends become spaces. A long text loses its middle.
+    """Return one line of bounded length. Line ends become spaces. The middle of a long text is left out.
 
     The mistake is at the beginning of a message, the expected value at its end.
     """
-    if len(text) > 4 * most:  # escaping makes a text longer, never shorter
+    if len(text) > 4 * most:  # escaping never makes a text shorter
         text = text[: 2 * most] + text[-2 * most :]
     line = escape_text(text.replace("\n", " "))
     if len(line) <= most:

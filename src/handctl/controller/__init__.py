@@ -1,1 +1,1 @@
-"""The pure controller: ``tick``, modes, state, requests, retuning and shutdown."""
+"""The pure controller: Controller: tick, modes, state, requests, change of gains, and shutdown."""

@@ -176,14 +176,13 @@ def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension)
 
 
 def clear_latched_faults(state: State) -> None:
-    """Clear all latched faults on the operator's request.
+    """Clear all latched faults at the request of the operator.
 
-    If a fault is still present, its detection starts again in this tick, and the fault latches
-    again.
+    A fault that is still present is detected again in this tick, and latches again.
     """
     ticks = state.view("fault_ticks")[: len(DEBOUNCE)]
-    # One tick below the debounce: a present fault counts again in this tick, an absent one is
-    # reset.
+    # One tick below the debounce: a fault that is still present counts again in this tick, any
+    # other fault is reset.
     np.minimum(ticks, DEBOUNCE[:, None] - 1, out=ticks)
     reported_faults = [
         one._replace(ticks=min(one.ticks, BY_ID[one.id].debounce - 1)) for one in state.decisions.reported_faults

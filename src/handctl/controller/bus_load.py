@@ -17,7 +17,7 @@ class FrameRow:
     """Row of the bus-load table: all frames of one kind.
 
     Attributes:
-        what: name of the motor, or name of a part of the sensor node.
+        what: name of the motor, or of the part of the sensor node, that sends the frames.
         size: payload [bytes].
         fd: True for CAN FD.
         per_tick: number of frames in every tick.
@@ -54,7 +54,7 @@ class BusLoad:
 
     @property
     def timed_fraction(self) -> float:
-        """Return the fraction of bus time used by frames independent of the control rate."""
+        """Return the fraction of bus time that is used by frames that do not depend on the control rate."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
     def at(self, rate_hz: float) -> float:
@@ -127,12 +127,12 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     All buses get the bit rates of the hand's first bus. The load cells stay on the first bus.
 
     Returns:
-        Names of the motors on each bus. Empty if a single motor overloads a bus.
+        Names of the motors on each bus. It is empty if a single motor overloads a bus.
     """
     first = hand.bus[0]
     # The first bus also carries SYNC and load cells, so it has less room for motors.
     capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz)
-    # CiA 402 drives reply to SYNC: a bus without the sensor node's SYNC carries one of its own.
+    # CiA 402 drives reply to SYNC. A bus without the sensor node's SYNC needs another SYNC.
     has_sync = SYNC in make_sensors(hand).host_ids
     sync_load = rate_hz * frame_time_s(0, False, first.bitrate)
     buses = list[list[str]]([[]])

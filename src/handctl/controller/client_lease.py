@@ -1,7 +1,7 @@
-"""Loss of the client that commands the hand: rest, then relaxation.
+"""Reaction to the loss of the client that commands the hand: the digits come to rest, then the hand relaxes.
 
 A client that hangs or dies sends no further goal, and its last goal would stay without a time
-limit. A client with a lease therefore tells regularly that it is alive. Commands, signs of life and
+limit. Therefore a client with a lease sends signs of life regularly. Commands, signs of life and
 targets enter the tick as requests, so that a log is re-executed with the same leases.
 """
 
@@ -19,7 +19,7 @@ RELAX_FACTOR = 2
 
 
 def begin_lease(state: State, request: CommandBase) -> None:
-    """Begin the lease of the client of a command. A command without a lease ends the lease."""
+    """Start the lease of the client that sent a command. A command without a lease ends the lease."""
     lease = None
     if request.lease_s is not None and not isinstance(request, Leave):
         lease = Lease(request.client, round(1e9 * request.lease_s), state.whole(s.T_NS))
@@ -30,7 +30,7 @@ def renew_lease(state: State, client: str) -> tuple[Event, ...]:
     """Renew the lease after a sign of life of a client.
 
     Returns:
-        An event if the client was lost before.
+        An event if the client was silent for too long before.
     """
     lease = state.decisions.lease
     if lease is None or lease.client != client:
@@ -42,7 +42,7 @@ def renew_lease(state: State, client: str) -> tuple[Event, ...]:
 def expire_lease(model: HandModel, state: State) -> tuple[Event, ...]:
     """Bring the digits to rest, or end the run, if the commanding client has been silent too long.
 
-    Digits that hold a tension go on until the run ends, and so does a task. Streamed targets are
+    Digits that hold a tension, and a task, continue until the run ends. Streamed targets are
     signs of life.
 
     Args:
@@ -50,7 +50,7 @@ def expire_lease(model: HandModel, state: State) -> tuple[Event, ...]:
         state: state of the tick, modified in place.
 
     Returns:
-        An event at the beginning of the rest and at the end of the run.
+        An event when the digits come to rest, and when the run ends.
     """
     lease = state.decisions.lease
     if lease is None:

@@ -1,4 +1,4 @@
-"""Mode machine of the hand: silence, inventory, arming, action, and a confirmed disarm at the end.
+"""State machine of the hand's modes, from silence before the first frame to the confirmed disarm at the end.
 
 SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. CUT is reached from
 every mode with torque. Each mode has one function. The function returns the next mode, and the
@@ -20,7 +20,7 @@ from handctl.errors import REMOVE_POWER
 from handctl.safety.action import Action
 
 LISTEN_S = 0.5
-"""Time of listening before the first frame is sent, to detect a second controller [s]."""
+"""Time before the first frame is sent, in which a second controller is detected [s]."""
 INVENTORY_TIMEOUT_S = 3.0
 CLEAR_ADVICE = " (when you have looked why: --clear)"
 """Advice to the operator for a drive with a latched error."""
@@ -142,12 +142,12 @@ def next_mode(
         if mode == Mode.RELAX:
             update_relax_rate(state)
         return ()
-    failure = failure or ("" if state.failure else _latched_faults(state))  # of a fault on the way home, too
+    failure = failure or ("" if state.failure else _latched_faults(state))  # also of a fault during the move home
     names = inputs.names
     level = "error" if failure else "info"
     unconfirmed = _motors_possibly_on(model, state, names) if mode == Mode.DONE else ()
     text = f"{before.name} -> {mode.name}" + (f": {failure}" if failure else "")
-    if unconfirmed and REMOVE_POWER not in text:  # whoever has ordered the stop reads nothing but this line
+    if unconfirmed and REMOVE_POWER not in text:  # the operator who has stopped the run reads only this line
         text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
     reason = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
     state.decide(failure=reason, unconfirmed=unconfirmed)
@@ -159,7 +159,7 @@ def next_mode(
 
 
 def _overriding_mode(state: State, inputs: ModeInputs) -> NextMode | None:
-    """Return the mode demanded by the safety monitor or the operator, else None."""
+    """Return the mode that the safety monitor or the operator demands, or None."""
     acting = state.mode in ACTING
     if acting and (inputs.operator.cut or inputs.action == Action.CUT):
         return Mode.CUT, _latched_faults(state)
@@ -182,13 +182,12 @@ def _before_arming(state: State, inputs: ModeInputs) -> NextMode | None:
 _MODE_AFTER_STOP = {Mode.ARMING: Mode.DISARM, Mode.ACTIVE: Mode.RELAX}
 """Mode that follows each mode after a fault or a stop.
 
-ARMING is followed by DISARM, because no tension has been commanded yet and no further drive may be
-enabled.
+In ARMING no tension has been commanded and no further drive may be enabled, so DISARM follows.
 """
 
 
 def _latched_faults(state: State) -> str:
-    """Return the latched faults in words, as reason of a failure. May be empty."""
+    """Return the latched faults as text, for the reason of a failure. May be empty."""
     if not state.latched:
         return ""
     return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
@@ -232,7 +231,7 @@ def _silent_sensors(state: State) -> list[str]:
 
 
 def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
-    """Return the filter inputs still missing when all drives are ready and all sensor frames have arrived."""
+    """Return the filter inputs that are missing when all drives are ready and all sensor frames have arrived."""
     drives = _named_drives(state, inputs)
     blind = [name for name, drive in drives if drive.phase == Phase.READY and math.isnan(drive.position)]
     return [f"no position from {', '.join(blind)}"] if blind else []
@@ -272,7 +271,8 @@ def _after_active(state: State, inputs: ModeInputs) -> NextMode:
 
 
 def _after_relax(state: State, inputs: ModeInputs) -> NextMode:
-    # A load cell that reads too little must not cut a taut tendon: the command has to have fallen, too.
+    # A load cell may read too little, so the commands must have fallen as well before the torque is
+    # removed.
     relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(inputs.model, state)
     return (Mode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
 
@@ -321,7 +321,7 @@ def _enabled_motors(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _pulling_motors(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of motors whose tendon still has tension after the torque was cut (N16)."""
+    """Return the names of motors whose tendons still have tension after the torque was cut (N16)."""
     tendons = {mark.instance for mark in state.latched if mark.id == "N16"}
     return tuple(name for name, tendon in zip(names, model.hand.tendon_names, strict=True) if tendon in tendons)
 
@@ -329,8 +329,8 @@ def _pulling_motors(model: HandModel, state: State, names: tuple[str, ...]) -> t
 def _motors_possibly_on(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of motors that may make torque at the end of a run.
 
-    If the run ends before arming, no motor was enabled by handctl, and only a motor that reports
-    enabled is returned.
+    If the run ends before arming, handctl has enabled no motor. Then only motors that report to be
+    enabled are returned.
     """
     if state.mode not in BEFORE_ARMING:
         return tuple(dict.fromkeys((*_enabled_motors(state, names), *_pulling_motors(model, state, names))))

@@ -5,12 +5,13 @@ Therefore an envelope bounds the motor force of each tendon. No measurement can 
 
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
-with the commanded motor force u at the tendon [N]. T is the period. For a spool pair u is the size
-of the force, and the direction stays. The envelope begins at the last command, or at the present
-tension if the tension is smaller. If a load cell is in doubt, a tendon in the tension loop begins
-at its setpoint instead of its tension. The tension loop may only go below the envelope. After a
-fault of the loop (``RelaxMethod.OPEN_LOOP``) u[k] = e[k]. The command of a motor that brakes at the
-start of relaxing goes to zero.
+with the commanded motor force u at the tendon [N]. T is the period. For a spool pair u is the
+absolute value of the force, and the direction does not change. The envelope begins at the last
+command, or at the present tension if the tension is smaller. If a load cell may be wrong, the
+envelope of a tendon in the tension loop begins at the setpoint instead of the tension. The tension
+loop may command less than the envelope, but not more. After a fault of the loop
+(``RelaxMethod.OPEN_LOOP``) u[k] = e[k]. The command of a motor that brakes at the start of relaxing
+goes to zero.
 """
 
 from dataclasses import replace
@@ -51,11 +52,11 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     table = state.tendon
     whole = state.tendon_int
     in_tension_loop = np.array([state.progress.goals[d].kind == Kind.TENSION for d in model.digit_of])
-    # A spool pair may pull either way: all sizes are in the direction of the last command.
+    # A spool pair may pull in both directions. All values are in the direction of the last command.
     sign = np.where(model.is_pair & (table[s.COMMANDED_FORCE] < 0.0), -1.0, 1.0)
     present = np.maximum(sign * table[s.TENSION], model.relaxed) + SETPOINT_MARGIN_N
     setpoint = sign * table[s.SETPOINT]
-    # A tendon whose digit follows a position goal has no setpoint that leads its tension.
+    # A digit with a position goal has no tension setpoint.
     setpoint = np.where(in_tension_loop, np.minimum(setpoint, present), setpoint)
     start = np.minimum(setpoint, np.maximum(sign * table[s.FILTER_FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
@@ -67,8 +68,8 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     # COMMANDED_FORCE is the commanded motor force, which the envelope starts from in the next tick.
     explained = present
     if any(mark.id in LOAD_CELL_FAULTS for mark in state.latched):
-        # The tension may be that of the setpoint. A position goal explains no tension that no cell
-        # has measured.
+        # If the load cell may be wrong, the tension may be as large as the setpoint. A position
+        # goal has no setpoint.
         explained = np.where(in_tension_loop, np.maximum(present, start), present)
     table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained)
     whole[s.GOAL_KIND] = int(Kind.TENSION)
@@ -106,7 +107,7 @@ def are_tensions_relaxed(model: HandModel, state: State) -> bool:
 
 
 def _force_sizes(model: HandModel, values: Vector) -> Vector:
-    """Return (N,) tensions, without the sign of those of spool pairs."""
+    """Return (N,) the absolute values of the tensions."""
     return np.where(model.is_pair, np.abs(values), values)
 
 
@@ -119,7 +120,7 @@ def update_relax_rate(state: State) -> None:
 
 
 def present_relax_rate(state: State) -> float:
-    """Return the rate at which tensions are lowered [N/s]."""
+    """Return the rate at which the envelope falls [N/s]."""
     return OVER_TENSION_RATE_N_PER_S if RelaxMethod.FAST_LOOP in _release_methods(state) else RELAX_RATE_N_PER_S
 
 

@@ -3,7 +3,7 @@
 The design of a loop takes about a millisecond. A running controller therefore designs one loop per
 tick, and switches all loops to the new design in the same tick. At the takeover, the difference
 between the motor forces commanded with old and new gains becomes an offset that fades out (bumpless
-transfer). The integrators hold forces in newtons, so they need no rescaling.
+transfer). The integrals are forces in newtons, so they need no rescaling.
 """
 
 from dataclasses import dataclass, field, replace
@@ -78,7 +78,8 @@ class Designs:
         """Return at least the first ``count`` designed loops, after designing the missing loops."""
         designed_pieces = self.designed_pieces.setdefault(gains, [])
         if len(self.designed_pieces) > CACHE_SIZE:
-            # Dictionaries keep insertion order, so the first entry is the oldest. The gains in use stay.
+            # Dictionaries keep insertion order, so the first entry is the oldest. The gains in use
+            # are kept.
             oldest = next(one for one in self.designed_pieces if one != self.used)
             self.controllers.pop(oldest, None)
             del self.designed_pieces[oldest]

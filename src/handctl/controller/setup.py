@@ -144,7 +144,7 @@ class Setup(Document):
 
 
 def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Return one line for each drive protection without read-back.
+    """Return one line for each protection of a drive that cannot be read back.
 
     The operator reads these lines before arming.
     """
@@ -154,7 +154,7 @@ def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
     """Return the drive of each tendon, in the order of the tendons.
 
-    A CiA 402 drive replies to SYNC. One drive of each bus without another SYNC sends it.
+    A CiA 402 drive replies to SYNC. On a bus without another SYNC, one drive sends it.
 
     Raises:
         ConfigError: a drive does not know an option, or two nodes share an identifier.
@@ -197,8 +197,8 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 def _with_sync(drives: tuple[Drive, ...], sensors: Sensors) -> tuple[Drive, ...]:
     """Return the drives with the option ``sync`` in the last CiA 402 drive of each bus that has no SYNC.
 
-    A bus has SYNC from the sensor node's SYNC, if that is 0x080, or from the option in the hand file.
-    The last drive is chosen so that SYNC follows every command.
+    A bus already has SYNC if the sensor node's SYNC is 0x080, or if a drive has the option in the
+    hand file. The last drive is chosen so that SYNC follows every command.
     """
     with_sync = {sensors.bus} if SYNC in sensors.host_ids else set()
     with_sync |= {drive.bus for drive in drives if isinstance(drive, Cia402Drive) and drive.sync}
@@ -226,8 +226,8 @@ def make_controller(
 
     Without a calibration, tare and zero are 0.
 
-    Values identified by the calibration replace values of the hand file. Drives and limits stay
-    as in the file.
+    Values identified by the calibration replace values of the hand file. Drives and limits are
+    those of the hand file.
     """
     n = len(hand.tendon)
     tare = calibration.tare(hand) if calibration else np.zeros(n)

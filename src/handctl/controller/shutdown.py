@@ -46,7 +46,7 @@ def shutdown_step(controller: Controller, state: State, t_ns: int, received: Seq
         drive_state = after.drive(n)
         for frame in received:
             drive_state = drive.receive(drive_state, frame)
-        # Repeated in every step until confirmed: a disable frame may be lost.
+        # The disable command is repeated until it is confirmed, because a frame may be lost.
         drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
         controller.keep(after, n, drive_state)
         frames += new_frames

@@ -31,7 +31,7 @@ class Lease(NamedTuple):
         duration_ns: longest silence before moving digits come to rest [ns]. After twice this time
             the hand relaxes.
         renewed_ns: time of the last command or sign of life [ns].
-        resting: True if the digits have come to rest since then.
+        resting: True if the digits have come to rest since that time.
     """
 
     client: str
@@ -44,8 +44,8 @@ class Decisions(NamedTuple):
     """State kept outside the per-tick state block, because only events change it.
 
     Attributes:
-        drives: state of each drive without its values. The values are in the block, and NaN or 0
-            here.
+        drives: state of each drive without its values. The values of the drives are in the block.
+            Here they are NaN or 0.
         progress: progress of the program.
         latched: latched faults.
         reported_faults: faults reported by buses and host, with the number of consecutive ticks.
@@ -76,7 +76,8 @@ class Decisions(NamedTuple):
     amplifiers: tuple[AmplifierState, ...] = ()
 
 
-# Serialized parts by identity: most decisions are the same objects from tick to tick.
+# Serialized parts are cached by identity, because most decisions are the same objects in many
+# ticks.
 _plain_bytes_cache = IdentityCache[Any](plain_bytes)
 
 
@@ -84,7 +85,7 @@ def _hash_decisions(decisions: Decisions) -> bytes:
     """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
     drives = b"".join([_plain_bytes_cache(drive) for drive in decisions.drives])
     goals = b"".join([_plain_bytes_cache(goal) for goal in decisions.progress.goals])
-    # Without amplifiers the hash is that of logs from before amplifiers.
+    # Without amplifiers the hash equals that of logs from versions without amplifiers.
     rest = [_plain_bytes_cache(part) for part in (decisions[1:] if decisions.amplifiers else decisions[1:-1])]
     return xxhash.xxh3_64_digest(b"".join([drives, goals, *rest]))
 

@@ -32,11 +32,11 @@ OLDEST_S = 0.1
 STEADY_PERIODS = 2.5
 """Longest time between two targets from which a speed is computed [periods of the stream]."""
 LEAD_N = 6.0
-"""Largest setpoint above the estimated tension that a target leads to [N].
+"""Largest distance of a streamed setpoint above the estimated tension [N].
 
-The tendon of a free digit bears no more than the digit's springs and friction. A setpoint that ran
-ahead would spin the motor, and look like a snapped tendon (T01) or an oscillation (N14b). The same
-margin below the largest tension is for the overshoot.
+The tendon of a free digit bears no more than the digit's springs and friction. A setpoint far above
+this would spin the motor, which resembles a snapped tendon (T01) or an oscillation (N14b).
+Setpoints also keep this margin below the largest tension, for the overshoot.
 """
 OPEN, RUNNING = 1, 2
 """Values of ``block.STREAMING``."""
@@ -86,7 +86,7 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
     reference = reference_of(model, state)
     for d in digits:
         if state.progress.goals[d].kind != Kind.MOTION:
-            # There is no reference yet: begin where the digit is, at rest.
+            # Without a reference the motion starts at the present angles, at rest.
             reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
@@ -127,7 +127,7 @@ def apply_target(
 
     Returns:
         An event for the first clipped, ignored, or refused target of a stream. The state counts all
-        such targets.
+        clipped, ignored and refused targets.
     """
     stream = state.decisions.stream
     if (
@@ -135,7 +135,7 @@ def apply_target(
         or state.mode != Mode.ACTIVE
         or (target is not None and target.stream != stream.name)
     ):
-        return ()  # of a stream that has ended, or of another client
+        return ()  # the target belongs to a stream that has ended, or to another client
     if target is None or not is_plausible(stream, target.values):
         right = f"{len(stream.names)} finite numbers of {UNITS[stream.space]}"
         return _count_target(
@@ -143,7 +143,7 @@ def apply_target(
         )
     sent_ns = min(target.sent_ns, t_ns)
     running = state.whole(s.STREAMING) == RUNNING
-    # Targets of one tick may have the same time: that of the tick.
+    # Several targets of one tick may have the time of the tick.
     overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns < state.whole(s.STREAM_SENT_NS)
     if (running and overtaken) or t_ns - sent_ns > 1e9 * OLDEST_S:
         return _count_target(
@@ -218,7 +218,7 @@ def _begin_segment(
             digit = model.digits[d]
             places = model.digit_coordinates[d]
             held[places] = holdable(digit, held[places], model.floor[digit.tendons])
-    # The reference of the last tick is the start. This tick is already on the way.
+    # The segment starts at the reference of the last tick, so this tick already moves.
     since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9

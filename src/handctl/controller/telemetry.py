@@ -14,7 +14,7 @@ STATE_FIELD_OF = {
     "motor_torque_goal": "torque",
     "motor_temperature": "temperature",
 }
-"""Name in the block of each telemetry field with a different name there."""
+"""Name of the block's field for each telemetry field that has another name in the block."""
 
 
 class TelemetryGatherer:
@@ -26,7 +26,8 @@ class TelemetryGatherer:
         Args:
             layout: layout of the state block.
         """
-        # A block that holds its own positions: a view of a field then yields the field's indices.
+        # In this block each element is its own index, so that a view of a field contains the
+        # indices of the field.
         numbered = np.arange(layout.size, dtype=np.float64)
         parts = [layout.view(numbered, STATE_FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
         ends = np.cumsum([0, *map(len, parts)]).tolist()

@@ -1,9 +1,10 @@
 """One tick of the controller as a pure function from received frames to frames to send.
 
-``TickIn`` contains all inputs, so that a logged tick can be executed again. The loop calls the three
-steps of a tick one by one: ``begin`` processes the received frames, ``command`` turns requests and
-goals into frames, ``conclude`` completes the output. In this way the loop reads requests and streamed
-targets as late as possible, and sends the commands as early as possible. ``tick`` is all three.
+``TickIn`` contains all inputs, so that a logged tick can be executed again. The loop calls the
+three steps of a tick one by one: ``begin`` processes the received frames, ``command`` turns
+requests and goals into frames, ``conclude`` completes the output. In this way the loop reads
+requests and streamed targets as late as possible, and sends the commands as early as possible.
+``tick`` is all three.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -261,7 +262,7 @@ class Controller:
             frames: received frames.
             fresh_ns: earliest arrival of an answer to the latest SYNC [ns].
 
-        Returns those received identifiers that only this host sends, each once.
+        Returns the received identifiers that only this host may send, each once.
         """
         tables = self.wire
         signs = list[str]()
@@ -330,7 +331,7 @@ class Controller:
         whole[s.FAULT_CAUSE, n] = drive.cause(drive_state.error) if drive_state.phase == Phase.FAULT else -1
         whole[s.STATUS_EXPECTED, n] = drive.steady_status(drive_state)
         whole[s.DUE_NS, n] = drive.due_ns(drive_state)
-        stripped = drive_state.with_values()  # they are in the block
+        stripped = drive_state.with_values()  # the values are in the block
         if stripped != before:
             drives = state.decisions.drives
             state.decide(drives=(*drives[:n], stripped, *drives[n + 1 :]))
@@ -340,8 +341,8 @@ class Controller:
     def _count_refusals(self, state: State, request_events: tuple[Event, ...]) -> None:
         """Count the refused requests, and the malformed requests within the last second.
 
-        A request out of range is normal for a program that explores. Only malformed requests show
-        that a client is faulty.
+        A program may test which requests are in range, so refused requests are no fault. Only
+        malformed requests show that a client is faulty.
         """
         recent = state.decisions.refusals
         if request_events or recent:
@@ -358,7 +359,7 @@ class Controller:
         self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]
     ) -> tuple[Action, tuple[Finding, ...]]:
         """Detect faults, latch them, and choose the reaction."""
-        state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # until then a load cell may read anything
+        state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # before the tare a load cell may read any value
         demanded, found = stages.find_faults(state.block, self.layout.places, *self._constants, self.layout.initial)
         new_findings = (
             faults_counting_since_now(self.limits, found, state.view("fault_ticks"))
@@ -459,14 +460,14 @@ class Controller:
         if mode in (SILENT, DONE):
             return frames_as_records(modes.shutdown_frames(self.drives, state))
         out = np.empty((1 + len(self.wire.templates), WORDS), dtype=np.uint64)
-        # Without sensors the row of their SYNC is left out.
+        # A hand without sensors has no SYNC, so row 0 is not sent.
         start = 0 if self.sends_sync else 1
         if self.sends_sync:
             counter = self.sensors.counter(state.k)
             out[0] = self.sync_row
             out[0, PAYLOAD] = counter
             state.set_whole(s.SYNC_COUNTER, counter & 0xF)
-            # The answers of an amplifier before the end of its set-up are not used, and are not
+            # Answers of an amplifier before the end of its set-up are not used, and do not count as
             # lost.
             if all(one.phase == Phase.READY for one in state.decisions.amplifiers):
                 state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
@@ -571,7 +572,7 @@ class OpenTick:
 
 
 def send_torque_only(state: State, n: int) -> None:
-    """Store that the state machine of a drive has sent the torque alone, without the position."""
+    """Store that the state machine of a drive has sent a torque command instead of the position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
     servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]

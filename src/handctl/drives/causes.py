@@ -1,4 +1,4 @@
-"""Causes of drive faults: eight classes that replace the error list of each protocol."""
+"""Causes of drive faults. The eight causes replace the error lists of all protocols."""
 
 import enum
 
@@ -7,18 +7,18 @@ class Cause(enum.IntEnum):
     """Cause of a drive fault."""
 
     OTHER = 0
-    """Error with a name in the protocol, and none of the causes below."""
+    """Error that the protocol names, and that has none of the other causes."""
     DROPPED_OUT = 1
     """The drive disabled itself or restarted."""
     WATCHDOG = 2
     """The drive's watchdog fired: commands of the host were missing."""
     VOLTAGE = 3
-    """Supply voltage too low or too high."""
+    """The supply voltage is too low or too high."""
     HOT = 4
-    """Motor or power stage too hot."""
+    """The motor or the power stage is too hot."""
     MISMATCH = 5
     """A setting reads back wrong, or another host enabled the drive."""
     LOST = 6
-    """No sign of life."""
+    """The drive has sent no frame for too long."""
     UNKNOWN = 7
-    """Code without a documented meaning. The controller assumes the worst."""
+    """The error code has no documented meaning. The controller assumes the worst."""

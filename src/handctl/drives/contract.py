@@ -4,7 +4,7 @@ Each protocol is one class. Each object of the class is the immutable descriptio
 one bus. All changing values live in an immutable ``DriveState``. Per tick and motor the controller
 calls ``receive`` for every received frame, then ``advance`` once with the requested drive state.
 While a drive is enabled and steady, compiled code does both from the tables of ``cyclic``
-(``core.wire``). ``steady_status`` and ``due_ns`` limit this mode. No function here reads a clock or
+(``core.wire``). ``steady_status`` and ``due_ns`` end this mode. No function here reads a clock or
 a socket.
 """
 
@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from handctl.drives.causes import Cause
 from handctl.drives.frame import Frame
 
-if TYPE_CHECKING:  # imports numba, which readers of a log do without
+if TYPE_CHECKING:  # imported for types only, because it imports numba, which readers of a log do not need
     from handctl.drives.signals import Cyclic
 
 UNSTEADY = -1
 """Value of ``steady_status`` for a drive whose state machine must process every frame."""
 END_OF_TIME_NS = (1 << 63) - 1
-"""Largest time [ns]: ``due_ns`` returns it if no call is scheduled."""
+"""Largest time [ns]: Value of ``due_ns`` if no call is scheduled."""
 
 
 class DriveTarget(enum.IntEnum):
@@ -32,7 +32,7 @@ class DriveTarget(enum.IntEnum):
     POLL = 1
     """Discover the drive, configure it, read limits and watchdog back, then poll feedback. No torque."""
     ENABLE = 2
-    """Do as POLL, then enable the drive. Send torque commands after the drive reports enabled."""
+    """Do the steps of POLL, then enable the drive. Send torque commands after the drive reports enabled."""
     DISABLE = 3
     """Disable the drive, and repeat the command until the drive reports disabled."""
 
@@ -57,8 +57,8 @@ class DriveState(NamedTuple):
 
     Attributes:
         phase: progress from silence to torque.
-        position: [rad], NaN before the first feedback.
-        velocity: [rad/s].
+        position: position [rad], NaN before the first feedback.
+        velocity: velocity [rad/s].
         torque: measured or estimated by the drive [N m].
         temperature: hottest sensor of the drive [degC], NaN without a sensor.
         feedback_t_ns: reception time of the latest feedback [ns], -1 before the first.
@@ -114,13 +114,13 @@ class Drive(Protocol):
         background: frames that do not follow the control rate, as (payload bytes, CAN FD?, frames
             per second).
         extended: True if the frames have 29-bit identifiers, for the bus load.
-        host_ids: identifiers sent only by the host. A received frame with such an identifier comes from
-            a second controller.
+        host_ids: identifiers sent only by the host. A received frame with one of these identifiers
+            comes from a second controller.
         node_ids: identifiers of the drive's answers.
-        unverified_protections: protections of the drive not verifiable by handctl, shown to the
+        unverified_protections: protections of the drive that handctl cannot verify, shown to the
             operator before arming.
-        one_reply_per_command: True if the drive sends one feedback frame per command. An extra one
-            is then a duplicate, or comes from a second node.
+        one_reply_per_command: True if the drive sends one feedback frame per command. An additional
+            frame is then a duplicate, or comes from a second node.
         position_step: resolution of the position [rad at the spool], 0 if unknown.
         cyclic: frames of a tick while the drive is enabled.
         feedback_period_s: period of unsolicited feedback [s], 0 if every tick requests feedback.
@@ -168,7 +168,7 @@ class Drive(Protocol):
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return one line for each protection of the drive not verifiable by handctl."""
+        """Return one line for each protection of the drive that handctl cannot verify."""
         ...
 
     @property
@@ -261,8 +261,8 @@ class Drive(Protocol):
     def identity(self, state: DriveState) -> str:
         """Return the serial number as ``scan`` prints it, or ``node N`` without a serial number.
 
-        Drives without a serial number cannot be distinguished from drives of another hand with an equal
-        node number.
+        Drives without a serial number cannot be distinguished from drives of another hand with an
+        equal node number.
         """
         ...
 

@@ -13,7 +13,8 @@ from typing import NamedTuple
 from handctl.drives.frame import REMOTE, Frame
 
 ROUNDS = range(4)
-# Time of listening, several heartbeats long, and time to wait for the answers of a round [s].
+# Time of several heartbeats in which a scan only listens, and time to wait for the answers of a
+# round [s].
 LISTEN_S = 0.7
 ANSWER_S = 0.25
 
@@ -62,7 +63,7 @@ def have_two_drives_answered(answers: Mapping[int, Sequence[bytes]], serial: int
     Args:
         answers: received answers by request (for example by register number). Each request was sent
             once.
-        serial: the request for the serial number. Two drives always answer it differently.
+        serial: the request for the serial number. Two drives never give equal answers to it.
     """
     serials = set(answers.get(serial, ()))
     return len(serials) > 1 or sum(len(payloads) > 1 for payloads in answers.values()) > 1
@@ -87,8 +88,8 @@ class Discovery(NamedTuple):
         other_host_frames: those received frames that only another host can have sent.
         ping: request to one node that causes no motion.
         is_ping_reply: True if a frame answers ``ping``.
-        unasked: the node for a scan that only listened. No conclusion is drawn from a missing
-            answer.
+        unasked: function that returns the node for a scan that only listened. No conclusion is
+            drawn from a missing answer.
     """
 
     probe_frames: Callable[[int, ReceivedFrames], tuple[Frame, ...]]

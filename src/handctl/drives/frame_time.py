@@ -1,6 +1,7 @@
 """Bus load of a hand: worst-case frame times with stuff bits.
 
-    classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without stuffing
+    classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without
+    stuffing
     CAN FD      header 17 + 4 stuff | ESI and DLC 5, data 8 n | stuff count 4, CRC 17 or 21, fixed stuff | 13
 
 The rows have an 11-bit identifier and n data bytes. A 29-bit identifier adds SRR, IDE and 18 bits,
@@ -50,7 +51,8 @@ HEADER_STUFF_BITS = 4
 END_BITS = 13
 """Bits after the CRC at the nominal rate: delimiter, acknowledge, end of frame, interframe space.
 
-The bit rate changes in the middle of the delimiter. The delimiter counts at the nominal rate.
+The bit rate changes in the middle of the delimiter. The whole delimiter is counted at the nominal
+rate.
 """
 
 

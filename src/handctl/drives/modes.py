@@ -1,8 +1,8 @@
-"""Position and velocity control in the drive: what the caller asks for, and the drive's own limits.
+"""Position and velocity control in the drive: the controlled quantity, and the drive's own limits.
 
-A drive of these modes is a ``contract.Drive`` whose command is a position [rad] or a velocity [rad/s] at
-the spool instead of a torque. ``torque_limit`` is then the largest command in that unit. The torque
-limit, watchdog and read-back of the torque mode stay in force.
+A drive of these modes is a ``contract.Drive`` whose command is a position [rad] or a velocity
+[rad/s] at the spool instead of a torque. ``torque_limit`` is then the largest command in that unit.
+The torque limit, watchdog and read-back of the torque mode stay in force.
 """
 
 import enum

@@ -1,7 +1,7 @@
 """List of protocols, and the keys of a ``[[motor]]`` section in the hand file that the drives use.
 
-``PROTOCOLS`` is the list of protocols. ``registry`` adds the code of each, whose import takes longer than a
-help text may take.
+``PROTOCOLS`` is the list of protocols. ``registry`` adds the code of each protocol. Its import
+would take too long for a help text.
 """
 
 from collections.abc import Mapping
@@ -9,12 +9,12 @@ from typing import Any, NamedTuple, Protocol
 
 
 class ProtocolTraits(NamedTuple):
-    """Properties of a protocol that need none of its code.
+    """Properties of a protocol that are known without its code.
 
     Attributes:
         title: name in documents.
-        guarded: True if the drives have a watchdog and limits that are read back. The fault campaign
-            and the option ``--protocol`` of a simulated hand take guarded protocols only.
+        guarded: True if the drives have a watchdog and limits that are read back. The fault
+            campaign and the option ``--protocol`` of a simulated hand take guarded protocols only.
         can_fd: True if the bus needs CAN FD.
         options: drive options of a simulated hand.
     """
@@ -39,7 +39,7 @@ PROTOCOLS: dict[str, ProtocolTraits] = {
 }  # fmt: skip
 """Protocols by their name in the hand file."""
 GUARDED = tuple(name for name, traits in PROTOCOLS.items() if traits.guarded)
-"""Names of the guarded protocols."""
+"""Names of the guarded protocols, see ``Protocol.guarded``."""
 
 
 class MotorDescription(Protocol):

@@ -30,7 +30,7 @@ def checked_positive(value: object, where: str, largest: float) -> float:
     Raises:
         ConfigError: not a number above 0, or larger than ``largest``.
     """
-    # bool is a subclass of int. The comparison is False for NaN.
+    # bool is a subclass of int, so it is excluded. The comparison is False for NaN.
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= largest:
         raise ConfigError("missing" if value is None else repr(value), where, f"a number above 0, at most {largest:g}")
     return float(value)
@@ -40,7 +40,7 @@ def checked_whole_number(value: object, where: str, largest: int) -> int:
     """Return a whole number of at least 1.
 
     Args:
-        value: value in the hand file. 50.0 counts as 50.
+        value: value in the hand file. 50.0 is accepted as 50.
         where: key path.
         largest: largest accepted value.
 
@@ -87,7 +87,7 @@ def pop_motor_model(options: dict[str, Any], where: str, models: Mapping[str, Ra
 
 
 def refuse_unknown_options(options: Mapping[str, Any], where: str, right: str) -> None:
-    """Refuse the options that a drive has not used.
+    """Check that a drive has used all options.
 
     Args:
         options: options that are left.

@@ -6,7 +6,7 @@ payload of each request, and recognises the reply to the open request.
 The torque limit and the watchdog in the drive protect the hand even if the host fails. Therefore
 both are read again while the drive is enabled. A drive may restart within a few milliseconds and be
 enabled again. The drive then has its saved settings, but not the settings written by the host
-before arming. Feedback does not show the restart. Every half second one setting of each drive is
+before arming. Feedback does not show such a restart. Every half second one setting of each drive is
 read, in turn. Each drive has its own time offset, so that no tick contains the requests of several
 drives.
 """
@@ -117,7 +117,7 @@ def on_wrong_value(cursor: Cursor, name: str, read: str, expected: str, writes: 
 
 
 class Recheck(NamedTuple):
-    """Position in the read-back repeated while a drive is enabled.
+    """Position in the read-back that is repeated while a drive is enabled.
 
     Attributes:
         step: index of the next setting.
@@ -174,6 +174,6 @@ def on_recheck_reply(
 
 
 def _next_slot_ns(node_id: int, t_ns: int) -> int:
-    """Return the next time in the drive's own time slot [ns]."""
+    """Return the time of the next request, in the drive's own time slot [ns]."""
     offset = node_id * STAGGER_NS % RECHECK_NS
     return ((t_ns - offset) // RECHECK_NS + 1) * RECHECK_NS + offset

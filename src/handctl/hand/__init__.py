@@ -1,1 +1,4 @@
-"""Hand: description, kinematics, dynamics, tendons, URDF and MJCF. Pure, except for reading hand files."""
+"""Model of a hand: description, kinematics, dynamics, tendons, and export as URDF and MJCF.
+
+The functions have no side effects, except that some read hand files.
+"""

@@ -27,20 +27,23 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.hand.moment_arms import is_varying, mean_arm, polynomial_of
 
 MESH_KEYS = ("link_mesh", "link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
-"""Keys of a digit about the meshes of its links. They have no effect on ``identity``."""
+"""Keys of a digit for the meshes of its links. They have no effect on ``identity``."""
 PALM_MESH_KEYS = ("palm_mesh", "palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
-"""The same, of the section ``mount``."""
+"""Keys of the section ``mount`` for the mesh of the palm. They have no effect on ``identity``."""
 LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on", *MESH_KEYS)
-"""Keys of a digit that came later. ``content`` has them only where the file has them."""
+"""Keys of a digit that a later version added. ``content`` has them only if the file has them."""
 LATER_TENDON_KEYS = ("pretension_N",)
-"""The same, of a tendon."""
+"""Keys of a tendon that a later version added. ``content`` has them only if the file has them."""
 CONTROL_KEYS = ("control", "kp_N_m_per_rad", "kd_N_m_s_per_rad")
-"""The same, of a motor. They have no effect on ``identity``."""
+"""Keys of a motor that a later version added.
+
+``content`` has them only if the file has them. They have no effect on ``identity``.
+"""
 NO_SENSORS: dict[str, Any] = {
     "sync_id": 0x080, "base_id": 0x1A0, "tendons": (), "joints": (), "joint_decimation": 1,
     "tension_noise_N": 0.5, "tension_bias_drift_N": 0.0, "joint_noise_rad": 1e-3,
 }  # fmt: skip
-"""Sensor node of a hand whose file has none. No channel uses its identifiers and noise."""
+"""Sensor node of a hand without sensors. Its identifiers and noise have no effect, because it has no channels."""
 
 
 class Hand(Section):
@@ -59,7 +62,7 @@ class Hand(Section):
     bus: tuple[Bus, ...] = Field(min_length=1)
     """CAN buses."""
     sensor_node: SensorNode
-    """A node without load cells and joint encoders in a hand without sensors. SYNC is not sent then."""
+    """In a hand without sensors it has no channels, and SYNC is not sent."""
     """Sensor node with load cells and joint encoders."""
     stream: StreamLimits = StreamLimits()
     """Limits of targets that a client streams."""
@@ -78,7 +81,8 @@ class Hand(Section):
             return given
         buses = given.get("bus")
         if not isinstance(buses, list | tuple) or not buses or not isinstance(buses[0], dict) or "name" not in buses[0]:
-            # The mistake is that of the bus. Any name stands for it.
+            # The missing buses are reported as a mistake of their own. Any name avoids a second
+            # report here.
             return given | {"sensor_node": NO_SENSORS | {"bus": "main"}}
         return given | {"sensor_node": NO_SENSORS | {"bus": buses[0]["name"]}}
 
@@ -126,7 +130,7 @@ class Hand(Section):
     def moment_arms(self) -> NDArray[np.float64]:
         """Return the moment arms R, (N, J) [m], read-only. Excursion is R q, joint torque R^T f.
 
-        An arm that depends on the angle counts with the mean over its joint's range.
+        An arm that depends on the angle is replaced by its mean over the joint's range.
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
@@ -150,8 +154,8 @@ class Hand(Section):
     def carrier_arms(self) -> NDArray[np.float64]:
         """Return the moment arms of each tendon about joints that carry its digit, (N, J) [m], read-only.
 
-        The tendons of a finger pass the wrist. Where they do not pass it in its axis, they turn the wrist, and the
-        wrist winds them up.
+        The tendons of a finger pass the wrist. A tendon that does not pass through the wrist's axis
+        turns the wrist, and is wound by its motion.
         """
         arms = self.moment_arms - self.own_arms
         arms.setflags(write=False)
@@ -203,7 +207,7 @@ class Hand(Section):
     def carriers_of(self, digit: str) -> tuple[str, ...]:
         """Return the names of the digits that carry a digit, the nearest first."""
         carrier = self.digit_named(digit).mount_on
-        # A file with a circle of digits is refused, but only after this function has been called.
+        # A file in which digits carry each other in a circle is refused later than this call.
         found: list[str] = []
         while carrier in self.digit_names and carrier not in found:
             found.append(carrier)
@@ -211,9 +215,9 @@ class Hand(Section):
         return tuple(found)
 
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
-        """Return the digit that a tendon moves: the one of which all others that the tendon crosses are carriers.
+        """Return the digit that a tendon moves: all other digits that the tendon crosses carry this digit.
 
-        None if there is no such digit.
+        The result is None if there is no such digit.
         """
         crossed = [digit.name for digit in self.digit if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
         outermost = [name for name in crossed if {name, *self.carriers_of(name)} >= set(crossed)]
@@ -253,10 +257,11 @@ class Hand(Section):
         for kind, keys in later.items():
             for section in content[kind]:
                 for key in keys:
-                    if section[key] is None:  # hands without the key keep their identity
+                    if section[key] is None:  # so that hands without the key keep their identity
                         del section[key]
         content["mount"] = {key: value for key, value in content["mount"].items() if value is not None}
-        # A sensor node has only the keys of its protocol, so that hands from before the protocols keep their identity.
+        # A sensor node has only the keys of its protocol, so that files of versions without
+        # protocols keep their identity.
         for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):
             del content["sensor_node"][key]
         return content
@@ -269,14 +274,15 @@ class Hand(Section):
     def identity(self) -> str:
         """Return SHA-256 of the resolved content in hexadecimal.
 
-        Comments, spelling of numbers, and order of keys in the file have no effect. Neither have the limits of
-        streams, the meshes, and who closes the position loop: no calibration and no gains depend on them.
+        Comments, spelling of numbers, and order of keys in the file have no effect. The limits of
+        streams, the meshes, and the choice of the position loop have no effect either, because no
+        calibration and no gains depend on them.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
         content["digit"] = [_without(digit, MESH_KEYS) for digit in content["digit"]]
         content["motor"] = [_without(motor, CONTROL_KEYS) for motor in content["motor"]]
         content["mount"] = _without(content["mount"], PALM_MESH_KEYS)
-        # Sorted keys and fixed separators: equal content gives equal bytes.
+        # With sorted keys and fixed separators equal content has equal bytes.
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 

@@ -15,15 +15,15 @@ from handctl.hand.moment_arms import arms_at, excursions_at
 
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array
-"""One number per joint. Lists and tuples are fastest."""
+"""A sequence with one number per joint. Lists and tuples are the fastest."""
 SIDEWAYS_DEG = 45.0
 """Angle between the axes of a joint and of the last joint above which the joint moves the digit sideways [deg]."""
 NEWTON_STEPS = 20
-"""Largest number of Newton steps from an excursion to joint angles. About five are used."""
+"""Largest number of Newton steps from an excursion to joint angles. About five are usual."""
 NEWTON_TOLERANCE_RAD = 1e-10
-"""Size of the last Newton step [rad]."""
+"""Newton step below which the iteration ends [rad]."""
 SIDEWAYS_RANGE = 0.5
-"""Opening per closing range from which a coordinate of a digit with parallel axes counts as sideways motion."""
+"""Ratio of opening to closing range from which a coordinate counts as sideways motion, if all axes are parallel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,32 +36,33 @@ class DigitModel:
         tendon_names: names of the tendons, in order.
         joints: slice of the digit in the hand's joints.
         tendons: slice of the digit in the hand's tendons.
-        lengths: (n,) [m].
+        lengths: (n,) length of each link [m].
         coms: (n, 3) centre of mass of each link in its frame [m].
-        masses: (n,) [kg].
-        inertias: (n, 3, 3) about the centre of mass, in the link's frame [kg m2].
+        masses: (n,) mass of each link [kg].
+        inertias: (n, 3, 3) inertia of each link about its centre of mass, in the link's frame [kg
+            m2].
         axes: (n, 3) unit vector of each joint in the link's frame.
         radius: radius of the links [m].
-        joint_min: (n,) [rad].
-        joint_max: (n,) [rad].
-        joint_damping: (n,) [N m s/rad].
+        joint_min: (n,) smallest joint angles [rad].
+        joint_max: (n,) largest joint angles [rad].
+        joint_damping: (n,) viscous damping of each joint [N m s/rad].
         armature: (n,) inertia of the joint alone [kg m2].
-        spring_stiffness: (n,) [N m/rad].
-        spring_preload: (n,) [rad].
-        mount_rotation: (3, 3) digit frame to palm frame.
-        mount_position: (3,) [m] in the palm frame.
-        gravity: (3,) in the palm frame [m/s2]. For a digit on another digit the palm is the link
-            that carries it, at rest.
+        spring_stiffness: (n,) stiffness of each return spring [N m/rad].
+        spring_preload: (n,) preload of each return spring [rad].
+        mount_rotation: (3, 3) rotation from the digit's frame to the palm frame.
+        mount_position: (3,) position of the first joint in the palm frame [m].
+        gravity: (3,) in the palm frame [m/s2]. For a digit on another digit, the palm frame is that
+            of the link that carries the digit.
         table: (rigid_body.ROWS, n) frames and bodies of the links.
         parent: (n,) column of the link before each link, -1 for the palm.
-        moment_arms: R, (n_t, n) [m]. An arm that depends on the angle counts with its mean, see
+        moment_arms: R, (n_t, n) [m]. An arm that depends on the angle is replaced by its mean, see
             ``at``.
         coupling: B, (n, n_c), the identity for independent joints.
         reduced_moment_arms: R B, (n_t, n_c) [m].
         excursion_to_joints: B (R B)^+, (n, n_t) [rad/m], joint angles of an excursion.
         torque_to_tension: (R B)^+^T B^T, (n_t, n) [1/m], smallest tensions of a torque.
         joints_to_coordinates: B^+, (n_c, n).
-        friction: (n_t,) capstan coefficient.
+        friction: (n_t,) friction coefficient of the pulleys.
         wrap: (n_t,) wrap angle before the first joint pulley [rad].
         motor_mass: (n_t,) rotor inertia as a mass at the tendon, J_m / r_a^2 [kg].
         arm_polynomials: (n_t, n, quantities.COEFFICIENTS) moment arms by joint angle.
@@ -105,7 +106,7 @@ class DigitModel:
     @property
     def reach(self) -> tuple[Array, Array]:
         """Return the smallest and the largest coordinates (n_c,) within the joint limits [rad]."""
-        # A negative entry of B^+ swaps the limits: take the smaller and the larger product per
+        # A negative entry of B^+ swaps the limits, so take the smaller and the larger product per
         # entry.
         low = self.joints_to_coordinates * self.joint_min
         high = self.joints_to_coordinates * self.joint_max
@@ -116,12 +117,14 @@ class DigitModel:
         """Return True for each coordinate that moves the digit sideways, (n_c,), such as abduction.
 
         A joint with an axis far from that of the last joint moves the links sideways. In a digit
-        with parallel axes a coordinate does so if it opens at least half as far as it closes.
+        with parallel axes, a coordinate moves sideways if it opens at least half as far as it
+        closes.
         """
         turned = np.eye(3)
         axes = []
         for i in range(self.joint_count):
-            # The rotation of a link at angle zero: both parts of Rodrigues' formula.
+            # Two of the three matrices of Rodrigues' formula sum up to the rotation of a link at
+            # angle zero.
             step = self.table[body.FIXED : body.FIXED + 9, i] + self.table[body.COSINE : body.COSINE + 9, i]
             turned = turned @ step.reshape(3, 3)
             axes.append(turned @ self.axes[i])
@@ -142,7 +145,8 @@ class DigitModel:
         links = range(len(digit.joints))
         arms = hand.moment_arms[:, joints][tendons]
         coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
-        # Pseudo-inverse: least squares for angles, its transpose the least-norm tensions.
+        # The pseudo-inverse gives angles by least squares. Its transpose gives the tensions of
+        # least norm.
         to_coordinates = np.linalg.pinv(arms @ coupling)
         return DigitModel(
             name=name,
@@ -250,15 +254,14 @@ class DigitModel:
         return np.asarray(now + np.linalg.pinv(rows) @ (np.array(list(angles.values())) - rows @ np.asarray(now)))
 
     def with_gravity(self, gravity: Values) -> "DigitModel":
-        """Return the digit under another gravity, (3,) in the palm frame [m/s2]."""
+        """Return a copy of the digit with another gravity, (3,) in the palm frame [m/s2]."""
         return replace(self, gravity=_read_only_copy(gravity))
 
 
 def coordinate_range(coupling: Array, limits: Array) -> Array:
     """Return the range of each coordinate (2, n_c) that keeps all joints within their limits.
 
-    Each coordinate is alone: the others are zero. A joint that a coordinate does not move sets no
-    limit.
+    All other coordinates are zero. A joint that does not depend on a coordinate does not limit it.
 
     Args:
         coupling: B, (n, n_c).
@@ -274,7 +277,7 @@ def coordinate_range(coupling: Array, limits: Array) -> Array:
 
 
 def link_table(digit: Digit) -> Array:
-    """Return frames and bodies of a digit's links for ``rigid_body``, (rigid_body.ROWS, n)."""
+    """Return the table of a digit's links for ``rigid_body``, (rigid_body.ROWS, n)."""
     table = np.zeros((body.ROWS, len(digit.joints)))
     for i, axis in enumerate(joint_axes(digit)):
         position, rotation = link_placement(digit, i)

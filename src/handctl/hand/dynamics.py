@@ -43,7 +43,7 @@ def inverse_dynamics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> T
         ddq: joint accelerations (n,) [rad/s2].
 
     Returns:
-        (n,) [N m].
+        Joint torque (n,) [N m].
     """
     return _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
 
@@ -103,7 +103,7 @@ def mass_matrix(digit: DigitModel, q: Values) -> Array:
 
 
 def forward_dynamics(digit: DigitModel, q: Values, dq: Values, tau: Values) -> Array:
-    """Return the acceleration of a joint torque against inertia and weight, (n,) [rad/s2].
+    """Return the joint accelerations that a joint torque makes against inertia and weight, (n,) [rad/s2].
 
     Args:
         digit: model of the digit.
@@ -171,5 +171,5 @@ def _as_array(values: Values) -> Array:
 
 
 def _as_plain_floats(values: Values) -> Sequence[float]:
-    """Return plain floats, several times faster than numpy's scalars."""
+    """Return the values as Python floats, which are several times faster than numpy's scalars."""
     return values.tolist() if isinstance(values, np.ndarray) else values

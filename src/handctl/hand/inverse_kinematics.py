@@ -10,19 +10,19 @@ from handctl.hand.digit import Array, DigitModel, Values, coordinate_range
 from handctl.hand.kinematics import joint_points, tip_jacobian
 
 SCAN_POINTS = 64
-"""Intervals of the scan that brackets the closest point of a coupled digit's path."""
+"""Number of intervals in the scan for the point of a coupled digit's path that is closest to a target."""
 REACH_TOLERANCE = 1e-12
-"""Relative square of the distance beyond the reach that counts as rounding."""
+"""Relative amount by which the squared distance may exceed the reach, for rounding."""
 MAX_STEPS = 60
-"""Most steps of the search for the closest tip."""
+"""Largest number of steps in the search for the closest tip position."""
 CONVERGED = 1e-10
 """Step of a coordinate at which the search ends [rad]."""
 START_WEIGHT_M_PER_RAD = 1e-5
-"""Weight of the distance to the start [m/rad]. It picks one of many postures with the same tip, the nearest one."""
+"""Weight of the distance to the start [m/rad]. It selects the nearest of all postures with an equal tip position."""
 DAMPING_RANGE = (1e-8, 1e8)
-"""Smallest and largest damping of a step, relative to the largest curvature."""
+"""Smallest and largest damping of a Levenberg-Marquardt step, relative to the largest curvature."""
 START_FRACTIONS = (0.5, 0.15, 0.85)
-"""Starts of a search without a known posture, as fractions of the range."""
+"""Start coordinates of a search without a known posture, as fractions of their ranges."""
 
 
 class ClosestTip(NamedTuple):
@@ -52,7 +52,8 @@ def inverse_kinematics(
         angle: direction of the last link [rad], required for three joints, ignored for two.
 
     Returns:
-        the solutions within one turn, first the one with positive flexion of the second joint. Empty
+        the solutions within one turn, first the one with positive flexion of the second joint.
+        Empty
         out of reach, and for two equal links folded onto the base, where the direction is free.
 
     Raises:
@@ -73,8 +74,8 @@ def inverse_kinematics(
 def inverse_kinematics_coupled(digit: DigitModel, position: Values) -> tuple[float, float]:
     """Return the coordinate of a coupled digit, q = B theta, with the tip closest to a point.
 
-    The tip moves on a curve. A scan with bracketing yields all points of extreme distance. The nearest
-    of them and of the two ends of travel is the global minimum.
+    The tip moves on a curve. A scan with bracketing yields all points of extreme distance. The
+    nearest of them and of the two ends of travel is the global minimum.
 
     Args:
         digit: model of a digit with one reduced coordinate.
@@ -127,8 +128,8 @@ def _is_planar(digit: DigitModel) -> bool:
 def _two_link_solutions(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, float], ...]:
     """Return both solutions of two links, one if stretched or folded, none out of reach.
 
-    The elbow angle comes from atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1 + l2 + r).
-    The products keep their accuracy near the straight arm, where acos loses half the digits.
+    The elbow angle comes from atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1 + l2 +
+    r). The products keep their accuracy near the straight arm, where acos loses half the digits.
     """
     r = math.hypot(x, y)
     inner = (r - abs(l1 - l2)) * (r + abs(l1 - l2))
@@ -152,9 +153,9 @@ def _wrapped_angle(angle: float) -> float:
 def closest_tip(digit: DigitModel, position: Values, start: Values | None = None) -> ClosestTip:
     """Return coordinates within the joint limits that bring the tip of a digit closest to a point.
 
-    Levenberg-Marquardt steps of the coordinates that are not at a limit (projected Gauss-Newton). The minimum is
-    local: from the previous posture of a motion it goes on without a jump. Any number and direction of hinges,
-    coupled or not.
+    Levenberg-Marquardt steps of the coordinates that are not at a limit (projected Gauss-Newton).
+    The minimum is local, so a search that starts at the previous posture of a motion leads to no
+    jump. The digit may have any number of hinges, in any direction, coupled or independent.
 
     Args:
         digit: model of a digit that is mounted on the palm.

@@ -22,7 +22,7 @@ def joint_axes(digit: Digit) -> Array:
 
 
 def joint_rotations(digit: Digit) -> Array:
-    """Return the rotations of the links' frames at angle zero to the frame before, (n, 3, 3).
+    """Return the rotation from each link's frame at angle zero to the frame before it, (n, 3, 3).
 
     The frame before the first link is that of the mount.
     """
@@ -40,7 +40,8 @@ def link_inertia(digit: Digit, i: int) -> Array:
     """Return the inertia of link i about its centre of mass, along its frame, (3, 3) [kg m2]."""
     values = digit.link_inertia_kg_m2[i]
     if isinstance(values, float):
-        # A round bar about its axis. A real body's inertias satisfy the triangle inequality: at most 2 I.
+        # This is the inertia of a round bar about its axis. By the triangle inequality of inertias
+        # it is at most 2 I.
         along = min(digit.link_mass_kg[i] * digit.link_radius_m**2 / 2, 2 * values)
         return np.diag([along, values, values])
     xx, yy, zz, xy, xz, yz = values if len(values) == 6 else (*values, 0.0, 0.0, 0.0)
@@ -48,7 +49,7 @@ def link_inertia(digit: Digit, i: int) -> Array:
 
 
 def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
-    """Return position (3,) [m] and rotation (3, 3) of link i at angle zero in the frame before.
+    """Return position (3,) [m] and rotation (3, 3) of link i at angle zero in the frame before the link.
 
     The frame before the first link is that of the palm.
     """
@@ -62,7 +63,8 @@ def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
 def rpy_of(rotation: Array) -> tuple[float, float, float]:
     """Return roll, pitch and yaw [rad] of a rotation (3, 3), the inverse of ``rotation_rpy``.
 
-    With a pitch of 90 degrees only the sum or difference of roll and yaw counts. The yaw is then 0.
+    At a pitch of 90 degrees only the sum or difference of roll and yaw is defined. The yaw is then
+    set to 0.
     """
     horizontal = math.hypot(rotation[0, 0], rotation[1, 0])
     pitch = math.atan2(-rotation[2, 0], horizontal)

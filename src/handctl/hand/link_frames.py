@@ -20,7 +20,8 @@ class Transform(NamedTuple):
 def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
     """Return the frames of all links and of the tip in the palm frame.
 
-    ``<digit>_link1``.. lie at each link's joint with x along the link. ``<digit>_tip`` follows.
+    The frames ``<digit>_link1``, ``<digit>_link2`` and so on are at the links' joints, with x along
+    the link. ``<digit>_tip`` follows.
     """
     poses = link_poses(digit, q)
     # The tip frame has the direction of the last link.
@@ -39,7 +40,7 @@ def quaternion(rotation: Array) -> tuple[float, float, float, float]:
     Source: Shepperd (1978).
     """
     trace = float(np.trace(rotation))
-    # Four times the squares of x, y, z, w.
+    # These are four times the squares of x, y, z, w.
     squares = [*(1.0 - trace + 2.0 * np.diag(rotation)).tolist(), 1.0 + trace]
     largest = max(range(4), key=squares.__getitem__)
     (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation.tolist()

@@ -1,4 +1,4 @@
-"""Loading of hands: packaged or from a file, each section validated, then the whole checked."""
+"""Loading of packaged hands and hand files. Each section is validated, then the sections are checked together."""
 
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -101,7 +101,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
     """Refuse integers beyond 64 bits. Python cannot print very long ones."""
-    # An explicit stack: deeply nested content must not exhaust Python's.
+    # An explicit stack is used, because deeply nested content would exhaust the stack of Python.
     nodes: list[tuple[str, Any]] = list(content.items())
     while nodes:
         key, node = nodes.pop()
@@ -171,7 +171,7 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mist
         digits = _valid_sections(resolved.content, "digit", Digit)
         found += check_sections(digits, _valid_sections(resolved.content, "tendon", Tendon))
     else:
-        # What a mistaken template leaves out has consequences for the whole hand.
+        # A mistake in a template would cause further mistakes in the checks of the whole hand.
         found = [] if mistakes else list(check_hand(hand))
     mistakes += with_paths_of_file(found, resolved.origins)
     return (None, mistakes) if mistakes else (hand, [])
@@ -196,7 +196,8 @@ def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
     hand, mistakes = validate_content(content)
     origins = resolve_templates(content).origins if content.get("schema") == WRITTEN_SCHEMA else {}
     if hand is not None:
-        from handctl.hand.readiness import reasons_not_ready  # imports numba, which loading a hand does without
+        # Imported here, because it imports numba, which the loading of a hand does not need.
+        from handctl.hand.readiness import reasons_not_ready
 
         mistakes = with_paths_of_file(reasons_not_ready(hand), origins)
     return InspectedHand(hand, group_mistakes(mistakes), origins)

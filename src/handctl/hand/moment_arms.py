@@ -1,9 +1,9 @@
 """Moment arms of tendons at joints: constant, or a polynomial of the joint angle.
 
 All arms are polynomials r(q) of one fixed degree. The excursion of a tendon at a joint is the exact
-integral of r from 0 to q. Outside of the joint's range the arm is that at the nearer limit, so that
-no polynomial is evaluated where nobody described it, and the excursion rises or falls everywhere.
-A table of measured arms becomes the least-squares polynomial of ``TABLE_DEGREE``.
+integral of r from 0 to q. Outside of the joint's range the arm is that at the nearer limit. So a
+polynomial is evaluated only where it was given, and the excursion is monotonic for all angles. A
+table of measured arms becomes the least-squares polynomial of ``TABLE_DEGREE``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ Arm = float | Mapping[str, Sequence[float]]
 """Arm in a hand file: a number, ``{"polynomial_m": ...}``, or ``{"angle_deg": ..., "arm_m": ...}``."""
 
 TABLE_DEGREE = 3
-"""Largest degree of the polynomial of a table."""
+"""Degree of the polynomial for a table, if the table has enough entries."""
 
 
 def polynomial_of(arm: Arm) -> Array:
@@ -41,7 +41,7 @@ def polynomial_of(arm: Arm) -> Array:
 
 
 def table_of(arm: Arm) -> tuple[Array, Array]:
-    """Return angles [rad] and arms [m] of a table, (k,) each, k = 0 for an arm without one."""
+    """Return angles [rad] and arms [m] of a table, (k,) each. k is 0 for an arm without a table."""
     if not isinstance(arm, Mapping) or "angle_deg" not in arm:
         return np.zeros(0), np.zeros(0)
     return np.radians(arm["angle_deg"]), np.asarray(arm["arm_m"], dtype=np.float64)
@@ -86,7 +86,7 @@ def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
 
 
 def mean_arm(arm: Arm, low: float, high: float) -> float:
-    """Return the mean of an arm over the joint's range [m]. That of a constant arm is the arm itself.
+    """Return the mean of an arm over the joint's range [m]. The mean of a constant arm is the arm itself.
 
     Args:
         arm: valid arm of a hand file.

@@ -1,7 +1,7 @@
-"""Checks that a hand must pass before it runs, beyond those of a valid file.
+"""Checks that a hand must pass before it runs, in addition to the checks of a valid file.
 
-A valid hand can be read, simulated in part and found in a log. A hand that runs also needs buses that
-exist, digits that open, and angles that flex.
+A valid hand file can be read, and be used by tools and logs. A run also needs possible bit rates,
+digits that open, and coordinates that flex.
 """
 
 from collections.abc import Iterator
@@ -74,14 +74,14 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     """Check that springs open each coordinate of a digit against the tension floor, or that antagonists do."""
     tendons = hand.digit_tendons[digit.name]
     if hand.is_pair[tendons].any():
-        return  # a spool pair pulls both ways
+        return  # a spool pair pulls in both directions
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
     postures = [hand.moment_arms[tendons, hand.digit_joints[digit.name]] @ coupling]
     if hand.has_varying_arm[tendons].any():
         limits = hand.joint_limits[:, hand.digit_joints[digit.name]]
         polynomials = hand.arm_polynomials[tendons, hand.digit_joints[digit.name]]
         postures = list(arms_at(polynomials, limits, np.linspace(limits[0], limits[1], POSTURES)) @ coupling)
-    arms = postures[0]  # of the open digit
+    arms = postures[0]  # these are the tensions and torques of the open digit
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
     stiffness = np.array(digit.spring_stiffness_N_m_per_rad)
     opened = np.radians(digit.joint_min_deg) + np.array(digit.spring_preload_rad)
@@ -96,7 +96,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     weak = (springs <= closing) & (arms.min(axis=0) >= 0.0)
     if not weak.any():
         return
-    # One line per digit: the joint that is held closed by most.
+    # Each digit has one line, for the joint with the largest closing torque.
     worst = int(np.argmax(np.where(weak, closing - springs, -np.inf)))
     joint = f"j{worst + 1}" if digit.coupling is None else "the joints"
     key = "spring_preload_rad" if stiffness.any() else "spring_stiffness_N_m_per_rad"
@@ -124,9 +124,10 @@ def can_hold_each_other(arms: Vector) -> bool:
     """
     largest = np.abs(arms).max()
     if ((arms.min(axis=0) >= 0.0) & (arms.max(axis=0) > MAX_TORQUE_RESIDUAL * largest)).any():
-        return False  # tensions of at least 1 make at least the torque of this column's largest arm
-    from scipy.optimize import nnls  # takes as long as the whole check of a hand
+        return False  # positive tensions always make a torque about a coordinate with positive arms only
+    from scipy.optimize import nnls  # imported here, because the import takes as long as the whole check of a hand
 
-    # Tensions 1 + w with w >= 0 without torque: the non-negative least-squares problem has no residual.
+    # The tensions are 1 + w with w >= 0. They can make no torque if the non-negative least-squares
+    # problem has no residual.
     _, residual = nnls(arms.T, -arms.sum(axis=0))
     return bool(residual <= MAX_TORQUE_RESIDUAL * largest)

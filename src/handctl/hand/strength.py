@@ -1,8 +1,8 @@
 """Comparison of the force of a runaway drive with the strength of its tendon.
 
-No host can stop a runaway in time: the tension peaks 5 to 15 ms after the current. The drive's own
-current limit is the only guard. A rotor at rest, pushed by a constant force F against an elastic
-tendon, overshoots to 2 F.
+A runaway is a drive that makes its largest torque without a command. The tension peaks 5 to 15 ms
+after the current, so no host can react in time. Only the drive's own current limit protects the
+tendon. A rotor at rest, pushed by a constant force F against an elastic tendon, overshoots to 2 F.
 """
 
 from collections.abc import Iterable
@@ -14,9 +14,9 @@ from handctl.hand.file.error_text import shortened_list
 from handctl.hand.moment_arms import arms_at
 
 STRENGTH_MARGIN = 1.5
-"""Required ratio of ``rated_breaking_force_N`` to the peak tension of a runaway."""
+"""Required ratio of ``rated_breaking_force_N`` to the peak tension if the drive runs away."""
 POSTURES = 11
-"""Number of postures in which the largest moment arms are looked for."""
+"""Number of postures among which the largest moment arms are searched."""
 RUNAWAY_OVERSHOOT = 2.0
 """Ratio of peak tension to constant force, for a rotor at rest against a slack, elastic tendon without damping."""
 

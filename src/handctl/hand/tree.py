@@ -1,7 +1,8 @@
 """The whole hand as one tree of links: poses, mass matrix and static torque of all joints together.
 
-A digit may be mounted on the last link of another digit, such as fingers on a wrist. The functions of
-``dynamics`` and ``kinematics`` are those of one digit on a base at rest.
+A digit may be mounted on the last link of another digit, such as fingers on a wrist. The functions
+of ``dynamics`` and ``kinematics`` are for one digit on a base at rest. Here the motion of all
+carriers is included.
 """
 
 from collections.abc import Sequence
@@ -26,7 +27,7 @@ class HandTree:
         parent: (J,) joint before each joint, -1 for the palm.
         gravity: (3,) in the palm frame [m/s2].
         stiffness: (J,) return springs [N m/rad].
-        preload: (J,) of the springs [rad].
+        preload: (J,) preload of the springs [rad].
     """
 
     digits: tuple[DigitModel, ...]
@@ -42,7 +43,7 @@ class HandTree:
 
         Args:
             hand: description.
-            digits: models of its digits, in file order, made if absent.
+            digits: models of its digits, in file order. Without them the models are built.
         """
         digits = tuple(digits) or DigitModel.all_of(hand)
         parents = [

@@ -1,1 +1,1 @@
-"""Programs: they decide the goals of all digits, tick after tick."""
+"""Programs, which set the goals of all digits in every tick."""

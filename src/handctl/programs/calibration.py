@@ -21,7 +21,7 @@ class TendonCalibration(Document):
     """Result of the sign test of a tendon."""
 
     tare_N: float
-    """Load-cell reading without tension."""
+    """Tare: load-cell reading without tension."""
     zero_rad: float = Field(ge=-1000, le=1000)
     """Motor position at which the tendon is just taut and the digit open."""
     answer_N: float

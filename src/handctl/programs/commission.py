@@ -4,15 +4,15 @@ One tendon after the other is pulled gently while all others are slack. Only its
 respond. The pull is too weak to move a digit against the springs, so the joint encoders are not
 tested.
 
-A tendon without load cell has no tare. Its motor proves that it becomes taut.
+A tendon without load cell has no tare. The force at its motor shows that it becomes taut.
 
-Without springs a single tendon would move its digit. There all tendons of the digit pull together,
-so that the digit is pressed on its lower joint limits. One tendon after the other is then pulled
-more. The known excursion of the limits, or that of the joint encoders, is taken off the motor
-zeros.
+Without springs a single tendon would move its digit. In such a digit all tendons pull together
+first, so that the digit is pressed on its lower joint limits. One tendon after the other is then
+pulled more. The known excursion of the limits, or that of the joint encoders, is taken off the
+motor zeros.
 
 Load cells drift while many tendons are pulled one by one. Therefore the hand is without torque for
-a moment before each pull. The readings of that moment are the reference for the responses of all
+a moment before each pull. The readings without torque are the reference for the responses of all
 load cells. They also renew the tare of the tendon that is pulled next.
 """
 
@@ -33,7 +33,7 @@ from handctl.programs.program import TARE_PHASE, Progress, ProgressAndEvents
 PULL_N = 3.0
 """Tension of a pull [N]."""
 PULL_FORCE_LIMIT_N = 12.0
-"""Largest motor force of a pull: the pull, friction and a margin, in case its load cell does not respond [N]."""
+"""Largest motor force of a pull, if the load cell does not respond: the pull, friction and a margin [N]."""
 TARE_S = 0.5
 """Averaging time of the first tare [s]."""
 REST_SETTLE_S = 0.3
@@ -45,21 +45,21 @@ SETTLE_S = 0.7
 TAKE_UP_TIMEOUT_S = 3.0
 """Longest time until a pulled tendon is taut [s]."""
 HOLD_TIMEOUT_S = 10.0
-"""Longest time until all tendons of a digit without springs are taut, with the way to its lower limits [s]."""
+"""Longest time until all tendons of a digit without springs are taut and the digit is at its lower limits [s]."""
 HOLD_SETTLE_S = 3.0
-"""Time between taut tendons of a digit without springs and the measurement: it goes to its limits meanwhile [s]."""
+"""Time between taut tendons and the measurement, in which a digit without springs moves to its limits [s]."""
 PRESS_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
 MEASURE_S = 0.3
 """Averaging time of the response to a pull [s]."""
 MIN_ANSWER_FRACTION = 0.6
-"""Least response of the tendon's own load cell, as a fraction of the pull."""
+"""Smallest accepted response of the tendon's own load cell, as a fraction of the pull."""
 MAX_CROSSTALK_FRACTION = 0.3
-"""Largest response of any other load cell, as a fraction of the pull."""
+"""Largest accepted response of any other load cell, as a fraction of the pull."""
 
 TARE_SUM, TARE_SAMPLES, ZERO, ANSWER, CROSSTALK, PULL_SUM, REST_SUM, REST_SAMPLES = range(8)
 COLUMNS = 8
-"""Columns of the table in `Progress.record`, whose indices are above."""
+"""Number of columns of the table in `Progress.record`. The constants above are the indices of its columns."""
 BEFORE_PULL = -1
 """Value of `Progress.touching[0]` before a pull.
 
@@ -113,7 +113,7 @@ class CommissionProgram:
         return self._check_tare(model, progress) or self._next(model, _with_new_tare(progress), t)
 
     def _check_tare(self, model: HandModel, progress: Progress) -> ProgressAndEvents | None:
-        """Refuse a tare near an end of the load cell's range, and return None if all tares are usable."""
+        """Return a failed progress for a tare near an end of the load cell's range, None if all tares are usable."""
         tare = _tares_of(_table_of(progress))
         worst = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
         if TARE_MIN_N <= tare[worst] <= TARE_MAX_N:
@@ -129,8 +129,8 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Read all load cells without torque, renew the tare of the present tendon, then pull it.
 
-        Only tares of tendons that were never taut are renewed, because friction may hold tension in a
-        tendon pulled before: that of the present tendon, or those of a digit without springs.
+        Only tares of tendons that were never taut are renewed, because friction may hold tension in
+        a tendon pulled before: that of the present tendon, or those of a digit without springs.
         """
         tension = _tensions(model, measured)
         if t - progress.since < REST_SETTLE_S or np.isnan(tension).any():
@@ -140,10 +140,10 @@ class CommissionProgram:
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
-        # Missing readings do not count, so the time is counted in samples.
+        # Time is counted in samples, so that missing readings prolong it.
         if samples * model.period < REST_S:
             return _with_table(progress, table), ()
-        # The average of the rest weighs as much as all samples before it.
+        # The new average gets the weight of all samples before.
         fresh = (
             slice(i, i + 1)
             if model.redundancy.sprung[i]
@@ -200,7 +200,8 @@ class CommissionProgram:
         waiting = progress.touching[0]
         if waiting == 0:
             if not estimate.slack[own].any():
-                # The digit is pressed on its limits from here on, and the filter must not take it for free.
+                # From here on the digit is pressed on its limits, so the filter must treat it as in
+                # contact.
                 contact = tuple(d == model.digit_of[i] for d in range(len(model.digits)))
                 return replace(
                     progress, touching=(1, *progress.touching[1:]), since=t, contact=contact
@@ -265,7 +266,7 @@ class CommissionProgram:
         table = _table_of(progress)
         table[:, PULL_SUM] += tension
         if model.redundancy.sprung[i]:
-            # The spool's radius makes travel [m] to motor angle [rad].
+            # The travel [m] divided by the spool's radius is the motor angle [rad].
             table[i, ZERO] += measured.travel[i] / model.space.spool[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASURE_S:
@@ -351,7 +352,7 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
 
 
 def _tensions(model: HandModel, measured: Measured, estimate: Estimate | None = None) -> Vector:
-    """Return the tensions (N,) of a tick [N]: load cells, and estimates of tendons without.
+    """Return the tensions (N,) of a tick [N]: readings of load cells, and estimates of tendons without load cell.
 
     Without an estimate a tendon without load cell counts as slack.
     """
@@ -371,13 +372,14 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
     Args:
         model: model of the hand.
         i: index of the tendon.
-        more: (N,) tension beyond that [N].
+        more: (N,) additional tension [N].
     """
     held = model.digit_of[i]
     digit = model.digits[held]
     tendons = model.digit_tendons[held]
     arms = digit.at(digit.joint_min).reduced_moment_arms
-    # One more pull must not lift the digit off: its torque is at most that of the largest closing arm.
+    # A further pull must not lift the digit off its limits. Its torque is at most that of the
+    # largest closing arm.
     press = PRESS_FACTOR * PULL_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
@@ -411,7 +413,8 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
     rest = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest
     if model.redundancy.sprung[i]:
-        # The pull stretches the tendon. Without it the motor would have stopped earlier.
+        # The pull stretches the tendon, so the motor turns further than to the point at which the
+        # tendon becomes taut.
         stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
         table[i, ZERO] = (
             table[i, ZERO] / samples
@@ -420,7 +423,8 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
         )
     table[i, ANSWER] = rise[i]
     tendons = np.arange(model.tendon_count)
-    # Friction holds tension in a tendon pulled before. This tension falls by itself, so that its fall is no crosstalk.
+    # Friction holds tension in a tendon that was pulled before. This tension falls by itself, so
+    # only a rise counts as crosstalk.
     held = np.where(model.redundancy.sprung & (tendons < i), np.maximum(rest, 0.0), 0.0)
     others = model.hand.has_cell & (tendons != i)
     table[i, CROSSTALK] = np.maximum(rise, -rise - held)[others].max(initial=0.0)

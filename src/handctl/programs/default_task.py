@@ -19,25 +19,28 @@ from handctl.hand.tree import HandTree
 from handctl.programs.task import Task
 
 CLOSED_FRACTION = 0.85
-"""Angle of a closed coordinate per largest angle. A digit without an object stops before its joints do."""
+"""Angle of a closed coordinate divided by its largest angle. A digit without an object stops before its joints do."""
 LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
 HOLD_FRACTION = 0.3
-"""Tension of a hold per ``tension_max_N``, if as many digits close from one side as from the other."""
+"""Tension of a hold divided by ``tension_max_N``, if equal numbers of digits close from both sides."""
 LARGEST_HOLD = 0.7
-"""Largest tension of a hold per ``tension_max_N``."""
+"""Largest tension of a hold divided by ``tension_max_N``."""
 SMALLEST_SHARE = 0.1
-"""Smallest factor of a digit for a balance of forces. Hands with smaller ones have no such balance."""
+"""Smallest factor of a digit for a balance of forces.
+
+If a factor would be smaller, the forces of the hand are not balanced.
+"""
 PRESS_N = 1.0
 """Smallest force of a hold at the tip of a half-closed digit, against springs [N]."""
 CONTACT_FRACTION = 0.16
-"""Tension of a digit in contact per ``tension_max_N``, until all digits hold."""
+"""Tension of a digit in contact divided by ``tension_max_N``, until all digits hold."""
 RELEASE_N = 6.0
 """Tension of a release above the highest ``tension_floor_N`` of the hand [N]."""
 OPENING_S = 1.2
 """Duration of the last phase [s]. A joint that opens by 90 deg then moves at 140 deg/s at most."""
 EXTENSOR_FACTOR = 1.5
-"""Tension of an extensor in a hold per ``tension_floor_N``."""
+"""Tension of an extensor in a hold divided by ``tension_floor_N``."""
 SCENE = "cylinder"
 """Scene with an object of 35 mm in front of the palm, for digits that flex in parallel planes."""
 BALL = "sphere"
@@ -102,13 +105,13 @@ def _closed_deg(hand: Hand, name: str) -> np.ndarray:
 def _shares(hand: Hand) -> dict[str, float]:
     """Return the factor of each digit's tension in a hold, 1 on average.
 
-    The forces on an object are in balance: two fingers would otherwise push a thumb open, and three
-    fingers around a circle press alike.
+    With these factors the forces on an object are in balance. Otherwise, for example, two fingers
+    would push a thumb open.
     """
     balance = _balance(hand)
     if balance is not None:
         return balance
-    # The palm or friction closes the balance. The digits of both sides press alike.
+    # The palm or friction makes the balance. Both sides press with equal force.
     opposed = _opposed(hand)
     count = len(opposed)
     behind = sum(opposed.values())
@@ -172,7 +175,7 @@ def _pressing_tension(hand: Hand, name: str) -> float:
     torque = springs + PRESS_N * reduced_tip_lever(digit, q)
     arms = digit.at(q).reduced_moment_arms
     closing = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
-    # A coordinate that keeps its angle, or that no tendon closes, sets no tension.
+    # A coordinate that keeps its angle, or that no tendon closes, does not determine a tension.
     flexes = (half > 0.0) & (closing > 0.0)
     return float((torque[flexes] / closing[flexes]).max(initial=0.0))
 
@@ -200,8 +203,9 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
 def default_scene(hand: Hand) -> str:
     """Return the scene for the default task of a hand: a cylinder or a ball between the open digits.
 
-    The diameter is in proportion to the digits. The tips of opposed digits meet around thin objects. A
-    hand whose digits alone are in no balance, such as an anthropomorphic hand, takes the scene of 35 mm.
+    The diameter is in proportion to the digits. The tips of opposed digits meet around thin
+    objects. A hand whose digits cannot balance their forces, such as an anthropomorphic hand, gets
+    the scene with the object of 35 mm.
     """
     directions = _directions(hand)
     parallel = all(abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values())
@@ -225,8 +229,9 @@ def _largest_object(hand: Hand, ball: bool) -> float:
     for digit, points in zip(tree.digits, tree.points(q), strict=True):
         for start, end in pairwise(points):
             x, y, z = (start + along * (end - start)).T
-            # A circle that touches the line x = gap has its centre at gap + D/2. A point at distance D/2 + r from it:
-            # (x - gap)^2 + y^2 - r^2 = D (x - gap + r). A ball has y^2 + z^2 in place of y^2.
+            # A circle that touches the line x = gap has its centre at gap + D/2. A point at
+            # distance D/2 + r from it: (x - gap)^2 + y^2 - r^2 = D (x - gap + r). A ball has y^2 +
+            # z^2 in place of y^2.
             reach = x - PALM_GAP_M + digit.radius
             beside = (reach > 0.0) & (ball | (np.abs(z) < OBJECT_HALF_LENGTH_M))
             room = (x - PALM_GAP_M) ** 2 + y**2 + ball * z**2 - digit.radius**2

@@ -43,7 +43,7 @@ class ExciteStep(Document):
     targets: tuple[float, ...] = ()
     """Target of each coordinate [rad] or tendon [N] of the digit, empty for `target`."""
     held: bool = False
-    """An obstacle stops the digit, so the filter treats the digit as blocked."""
+    """True if an obstacle stops the digit. The filter then treats the digit as blocked."""
     rate: float = Field(100.0, gt=0, le=5000)
     amplitude: float = Field(0.0, ge=0, le=1)
     amplitudes: tuple[float, ...] = ()
@@ -57,8 +57,8 @@ class Swing:
     """Oscillation of all coordinates in phase, each about its own angle.
 
     Attributes:
-        centre: (n,) [rad].
-        amplitude: (n,) [rad].
+        centre: (n,) mean angle of each coordinate [rad].
+        amplitude: (n,) amplitude of each coordinate [rad].
         chirp: oscillation of one coordinate about 0 with amplitude 1.
     """
 
@@ -72,7 +72,7 @@ class Swing:
         return self.chirp.duration
 
     def at(self, t: float) -> Vector:
-        """Evaluate the oscillation, see ``Trajectory``."""
+        """Return (3, n) the motion at time t, see ``Trajectory.at``."""
         way = self.chirp.at(t) * self.amplitude
         way[0] += self.centre
         return way
@@ -135,7 +135,7 @@ class ExciteProgram:
         same_phase = phase == progress.phase
         contact = tuple(i == d and step.held for i in range(len(goals)))
         progress = replace(progress, step=index, since=t, phase=phase, goals=tuple(goals), contact=contact)
-        # Steps of one name that follow each other are one phase in the log.
+        # Consecutive steps with one name are one phase in the log.
         return progress, () if same_phase else (Event("info", "phase", step.digit, phase),)
 
 

@@ -1,4 +1,4 @@
-"""Exercise by which gains are scored: the same moves and tensions for all gains."""
+"""Program for the comparison of gains: all gains execute equal moves and tensions, and are scored by the errors."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,23 +13,23 @@ from handctl.programs.program import Progress, ProgressAndEvents, motion_to, pul
 REST_S = 0.15
 """Time at the end of every move, in which the digit may still oscillate [s]."""
 HOME_RAD = math.radians(5.0)
-"""Angle clear of the open stop [rad].
+"""Angle between the open stop and the first position of a move [rad].
 
-At the stop the error of a digit would seem too small.
+At the stop the error of a digit would be too small.
 """
 GENTLE_N = 7.0
 """Net tension with which spool pairs close their digits [N].
 
-A digit of spool pairs without load cells that closes freely looks like a torn tendon from 8 N on: its
-spool winds fast, and the estimated tension is small (T01).
+A digit of spool pairs without load cells that closes freely looks like a torn tendon from 8 N on:
+its spool winds fast, and the estimated tension is small (T01).
 """
 GENTLE_S = 2.0
-"""Time for this motion [s]."""
+"""Time in which spool pairs close their digits [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExerciseStage:
-    """One stage of the exercise, the same for all digits.
+    """One stage of the exercise, equal for all digits.
 
     Attributes:
         name: phase in the log: `settle`, `move`, `close` or `hold`. `move` and `hold` are

@@ -42,7 +42,7 @@ from handctl.programs.task import (
 )
 
 FOLLOW_START_DEG = 4.0
-"""Largest distance of a digit from the start of the curve [deg]."""
+"""Largest accepted distance of a digit from the start of a curve [deg]."""
 SETTLE_AFTER_CLOSE_S = 0.3
 """Time in which a digit without contact comes to rest before the next phase [s]."""
 RELEASED_WITHIN_N = 2.0
@@ -60,7 +60,7 @@ ARRIVAL_S = 0.15
 ARRIVAL_FACTOR = 2.0
 """Factor on the contact threshold of a digit that has arrived.
 
-A digit at rest meets nothing new by itself, and creeping friction could look like a contact.
+A digit at rest touches no new object, and creeping friction can resemble a contact.
 """
 
 
@@ -112,8 +112,8 @@ class TaskProgram:
     ) -> ProgressAndEvents:
         """Wait until all tendons have been taut for a while.
 
-        A tick with a slack tendon counts one down, so noise delays the start but does not restart
-        the wait.
+        A tick with a slack tendon lowers the count by one, so noise delays the start but does not
+        restart the wait.
         """
         slack = slack_tendons(model, estimate)
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
@@ -210,7 +210,7 @@ class TaskProgram:
     ) -> Vector | None:
         """Return the tension targets (n_t,) of a held digit [N], from a tension or from a tip force.
 
-        None leaves the digit as it is.
+        If it is None, the digit keeps its goal.
         """
         digit = model.digits[d]
         tendons = model.digit_tendons[d]
@@ -222,7 +222,8 @@ class TaskProgram:
         if force is None:
             return None
         q = estimate.q[digit.joints]
-        # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
+        # The torque of springs and gravity, plus the tip force times its lever, in the digit's
+        # coordinates.
         torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
             digit.joints
         ] + force * reduced_tip_lever(digit, q)
@@ -232,7 +233,7 @@ class TaskProgram:
     def _hold_on(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
-        """Keep the grip while holding, and answer slip."""
+        """Update the grip while holding, and raise the tensions after slip."""
         phase = self.task.phase[progress.step - 1]
         if progress.grip is None or not isinstance(phase, Hold):
             return progress, ()
@@ -330,7 +331,7 @@ class TaskProgram:
 def _closing_digits(
     phase: Move | Follow | Close | Hold | Release, progress: Progress
 ) -> tuple[bool, ...]:
-    """Return for each digit whether it closes until contact, empty in other phases."""
+    """Return for each digit True if it closes until contact. The result is empty in other phases."""
     if not isinstance(phase, Close):
         return ()
     rows = zip(progress.goals, progress.contact, strict=True)
@@ -351,7 +352,7 @@ def _still_tensioned(
 
 
 def _grip_plan(model: HandModel, phase: Hold) -> GripPlan:
-    """Return the grip that a hold asks for, per tendon."""
+    """Return the grip that a hold phase requires, per tendon."""
     limit = np.full(model.tendon_count, np.nan)
     if phase.slip_limit_N is not None:
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True):
@@ -379,7 +380,7 @@ def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
 
 
 def _curve_of_digit(phase: Follow, digit: DigitModel, estimate: Estimate) -> Curve | None:
-    """Return the curve of a digit, None without an angle. Joints without angles stay where they are."""
+    """Return the curve of a digit, None without an angle. Joints without angles keep their positions."""
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:
         angles = tuple(map(math.radians, phase.angle_deg[digit.name]))
@@ -401,7 +402,8 @@ def blind_tip_force(model: HandModel, d: int) -> float:
     margin = float(model.blind_margin[digit.tendons].mean())
     if margin == 0.0:
         return 0.0
-    # Tensions per tip force of the open digit: the tip force fits them in least squares.
+    # These are the tensions per tip force of the open digit. The estimated tip force is fitted to
+    # them by least squares.
     response = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
     return margin / float(np.linalg.norm(response))
 

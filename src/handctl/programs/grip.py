@@ -1,9 +1,9 @@
-"""Grip of a holding grasp: stiffness, and slip detection with an answer of more tension.
+"""Grip of a hold: its stiffness, and the detection of slip, after which the tension is raised.
 
-Slip pushes a digit open: the tension is kept, but the tendon pays out. The tendon's excursion,
-travel less stretch, is known to a few micrometres, so a fraction of a millimetre at the object is
-visible. A force along the hinges moves no joint (J^T F = 0). Therefore neither tendons nor joint
-encoders show an even bar that slides along the hinges.
+If an object slips, it pushes a digit open. The tension stays constant, but the tendon pays out. The
+tendon's excursion, travel less stretch, is known to a few micrometres, so a fraction of a
+millimetre at the object is visible. A force along the hinges moves no joint (J^T F = 0). Therefore
+neither tendons nor joint encoders show a bar of constant thickness that slides along the hinges.
 """
 
 import math
@@ -26,11 +26,11 @@ Six standard deviations of the excursion in a quiet hold (3.5 um). It is about 0
 NO_DETECTION_S = 0.4
 """Time without slip detection after the grip's own tension changed [s]. Fingers conform then."""
 ANSWER_PAUSE_S = 0.1
-"""Time from an answer to the next [s]."""
+"""Shortest time between two rises of the tension [s]."""
 ANSWER_FACTOR = 1.2
-"""Factor of each answer on every tension of the grip."""
+"""Factor by which slip raises every tension of the grip."""
 RATE_N_PER_S = 300.0
-"""Tension rate of an answer [N/s]. Slip is faster than the closing of a grasp."""
+"""Rate at which slip raises the tensions [N/s]. Slip is faster than the closing of a grasp."""
 
 
 class Grip(NamedTuple):
@@ -42,7 +42,7 @@ class Grip(NamedTuple):
             grip has settled.
         ready: time from which slip is detected [s].
         raised: present factor on the tensions.
-        limited: the event that no more tension is allowed has been reported.
+        limited: True after the event that no more tension is allowed.
     """
 
     tension: Vector
@@ -72,8 +72,8 @@ class GripPlan:
 
     Attributes:
         stiffness: tension per metre that a tendon is pulled out [N/m], 0 keeps the tensions.
-        limit: (N,) tension to which slip may raise [N], NaN for no rise. If all are NaN, slip
-            is reported only.
+        limit: (N,) tension up to which slip may raise the tension [N], NaN without a rise. If all
+            are NaN, slip is reported only.
     """
 
     stiffness: float
@@ -110,7 +110,7 @@ def advance_grip(
     judged = t >= grip.ready
     settled = not math.isnan(grip.anchor[0])
     if judged and not settled:
-        # The first tick after the settling fixes the position of a stiff grip.
+        # The first tick after the settling determines the position of a stiff grip.
         grip = grip._replace(anchor=estimate.grip.copy())
     if judged:
         # A tendon that opens its digit pays out while the digit closes.
@@ -125,7 +125,7 @@ def advance_grip(
 def _answer_slip(
     model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: float
 ) -> tuple[Grip, tuple[Event, ...]]:
-    """Raise the tensions, as far as the task allows."""
+    """Raise the tensions after slip, as far as the task allows."""
     worst = int(np.argmax(opening))
     digit = next(
         name
@@ -134,7 +134,8 @@ def _answer_slip(
     )
     grip = grip._replace(ready=t + ANSWER_PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
-    # The tendon with the most room decides, all tendons rise by the same factor.
+    # The factor is that of the tendon which is farthest below its limit. All tendons are raised by
+    # this factor.
     closing = model.redundancy.side > 0.0
     room = plan.limit[closing] / grip.tension[closing]
     max_factor = float(np.nanmax(np.append(room, 1.0)))
@@ -148,7 +149,7 @@ def _answer_slip(
 def _held_goals(
     model: HandModel, grip: Grip, plan: GripPlan, goals: tuple[DigitGoal, ...], excursion: Vector
 ) -> tuple[DigitGoal, ...]:
-    """Return the goals with the tensions of slip and stiffness, never below the floor."""
+    """Return the goals with the tensions by slip and stiffness, at least the floor."""
     limit = np.fmax(plan.limit, grip.tension)
     raised = np.where(model.redundancy.side > 0.0, grip.raised, 1.0)
     target = np.minimum(raised * grip.tension, limit) + plan.stiffness * (grip.anchor - excursion)

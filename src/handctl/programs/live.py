@@ -41,9 +41,10 @@ from handctl.programs.task_checks import (
 
 
 def import_spline() -> None:
-    """Import the spline of the phase `follow`, so that no tick imports it.
+    """Import the spline for the phase `follow` in advance, so that no tick imports it.
 
-    The import takes 0.1 to 0.3 s. The first task of a client with such a phase would end a run in real time.
+    The import takes 0.1 to 0.3 s. The first task of a client with such a phase would end a run in
+    real time.
     """
     import scipy.interpolate  # noqa: F401
 
@@ -107,7 +108,8 @@ def begin_task(
 ) -> ProgressAndEvents:
     """Begin a task up to its first hold, which lasts until ``release_task``, at most an hour.
 
-    A task that does not suit the hand, or that begins with a move that is too fast, changes nothing.
+    A task that does not suit the hand, or that begins with a move that is too fast, changes
+    nothing.
     """
     try:
         check_suits(task, model.hand, "task", model.digits)
@@ -127,7 +129,7 @@ def begin_task(
 
 
 def _start_refusal(model: HandModel, first: Move, estimate: Estimate) -> Event | None:
-    """Return the event of a first move that is too fast from where the digits are, None if it is not."""
+    """Return the event of a first move that is too fast from the present angles, None if it is slow enough."""
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
         angle = end_angles(
@@ -176,7 +178,7 @@ class JogProgram:
         if progress.phase == "live":
             goals = progress.goals
             progress, goal_events = apply_goal(model, progress, self.request, estimate, t)
-            # A refused request leaves the goals as they are.
+            # A refused request does not change the goals.
             if progress.goals is goals:
                 return replace(
                     progress, finished=True, failure=goal_events[-1].text
@@ -206,9 +208,9 @@ def apply_goal(
         request: the request.
         estimate: estimate of this tick.
         t: time of the program [s].
-        reference: for each digit, (3, n) position, rate and acceleration of the present reference. A
-            moving digit goes on from its reference, any other from the estimate. None: all from the
-            estimate.
+        reference: for each digit, (3, n) position, rate and acceleration of the present reference.
+            A move of a moving digit starts at its reference. Any other move starts at the estimated
+            angles. With None all moves start at the estimate.
     """
     names = model.hand.digit_names
     values = request.angle_deg if isinstance(request, MoveDigits) else request.tension_N
@@ -258,10 +260,12 @@ def _end_of_move(
         model: model of the hand.
         d: index of the digit.
         angles: angle by digit or joint [deg].
-        start: present coordinates [rad], or the estimate. Joints without an angle stay there.
+        start: present coordinates [rad], or the estimate. Joints without an angle keep their
+            present angles.
 
     Returns:
-        None for a digit without an angle, the reason for angles that the digit cannot take together.
+        The result is None for a digit without an angle, and a text for angles that the digit cannot
+        have together.
     """
     digit, name = model.digits[d], model.hand.digit_names[d]
     count = digit.coupling.shape[1]
@@ -301,7 +305,7 @@ def _move(
 def _out_of_reach(
     model: HandModel, d: int, estimate: Estimate, end: Vector, duration: float
 ) -> str:
-    """Return why a digit refuses coordinates [deg] in a time [s], empty if it accepts."""
+    """Return the reason why a digit cannot move to coordinates [deg] in a time [s], empty if it can."""
     digit = model.digits[d]
     joint_min, joint_max = (np.degrees(bound) for bound in digit.reach)
     for angle, low, high in zip(end, joint_min, joint_max, strict=True):

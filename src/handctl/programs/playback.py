@@ -16,9 +16,9 @@ from handctl.programs.program import Progress, ProgressAndEvents, coordinates_by
 APPROACH_S = 2.0
 """Duration of the slow move to the first pose of the recording [s]."""
 APPROACH_RATE_N_PER_S = 20.0
-"""Tension rate on the way to the first recorded tension [N/s]."""
+"""Rate of the tension during the approach to the first recorded tension [N/s]."""
 FOLLOW_RATE_N_PER_S = 5000.0
-"""Tension rate while following [N/s]. The rate of recorded setpoints was limited before."""
+"""Rate of the tension while the recording is followed [N/s]. The recorded setpoints already have a limited rate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +27,8 @@ class Recording:
 
     Attributes:
         q: (ticks, J) joint goals [rad], NaN where the digit held a tension.
-        dq: (ticks, J) their rates [rad/s].
-        ddq: (ticks, J) their accelerations [rad/s^2].
+        dq: (ticks, J) rates of the joint goals [rad/s].
+        ddq: (ticks, J) accelerations of the joint goals [rad/s^2].
         tension: (ticks, N) tension goals at the load cells [N].
     """
 
@@ -61,9 +61,9 @@ class PlaybackProgram:
 
     Attributes:
         recording: recording to follow.
-        raw: follow the tensions and leave the joints uncontrolled. The speed of the
-            trajectories is fed forward, but no angle is corrected. One newton too much is 12
-            degrees of a free finger's springs.
+        raw: follow the tensions and leave the joints uncontrolled. The speed of the trajectories is
+            fed forward, but no angle is corrected. An error of one newton moves a free finger by 12
+            degrees against its springs.
     """
 
     recording: Recording

@@ -18,21 +18,21 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """State of a program, with the same fields for all programs and covered by the state's hash.
+    """State of a program, with equal fields for all programs. The hash of the controller's state includes it.
 
     Attributes:
         step: index of the present step.
-        since: time of the beginning [s].
+        since: time at which the present step began [s].
         goals: goals of the digits.
-        contact: for each digit, whether it is in contact.
-        touching: for each digit, consecutive ticks with evidence of contact. Programs use it as
-            a counter before that.
+        contact: for each digit, True if it is in contact.
+        touching: for each digit, number of consecutive ticks with evidence of contact. Before the
+            first close phase, programs use it as a counter.
         phase: name of the present step, for events and logs.
-        finished: the program has ended.
+        finished: True if the program has ended.
         failure: reason why the program gave up, empty otherwise.
         record: numbers for the result of the program.
         tare: new tares of the load cells [N], empty for the calibration's.
-        closing: for each digit, whether it closes until contact, empty in other phases.
+        closing: for each digit, True if it closes until contact. It is empty in other phases.
         grip: grip of a hold, None in other phases.
         task: task that a live session carries out, None otherwise.
     """
@@ -62,7 +62,7 @@ ProgressAndEvents = tuple[Progress, tuple[Event, ...]]
 
 
 class Program(Protocol):
-    """Interface of a program. It is immutable, all change is in `Progress`."""
+    """Interface of a program. A program is immutable. All changes are in `Progress`."""
 
     def initial(self, model: HandModel) -> Progress:
         """Return the progress before the hand is armed."""
@@ -87,7 +87,7 @@ class Program(Protocol):
 
 
 TARE_PHASE = "tare"
-"""Step of commissioning before whose end the zeros of the load cells are unknown."""
+"""Step of commissioning that measures the tares. Before its end the zeros of the load cells are unknown."""
 TIGHTEN_MARGIN_N = 1.5
 """Tension above the floor to which slack is taken up [N].
 
@@ -108,7 +108,7 @@ def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 
 
 def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
-    """Return tensions (n_t,) of a digit that take up slack [N], without torque if the tendons hold each other."""
+    """Return tensions (n_t,) of a digit that take up slack [N]. Tensions of surplus tendons make no torque."""
     balance = model.redundancy.balance[tendons]
     least = model.floor[tendons] + TIGHTEN_MARGIN_N
     least = np.where(model.is_pair[tendons], 0.0, least)  # a spool pair is taut by its pretension
@@ -118,9 +118,9 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
 def pull_tensions(model: HandModel, d: int, tension: float | tuple[float, ...], estimate: Estimate) -> Vector:
     """Return tensions (n_t,) of digit d under tension control [N].
 
-    Tendons that close the digit have the given tension. Their antagonists have the balance. A digit of
-    spool pairs presses with its tip, and its largest net tension is the given one. With a tension for
-    each tendon all have theirs.
+    Tendons that close the digit have the given tension. Their antagonists have the balance. A digit
+    of spool pairs presses with its tip. The given tension is its largest net tension. If the
+    tension is given for each tendon, it is used for each.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
@@ -155,7 +155,10 @@ def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
 
 
 HOLD_STILL_S = 1.0
-"""Duration of the trajectory that holds sideways joints where they are [s]. Any time will do: nothing moves."""
+"""Duration of the trajectory that holds sideways joints where they are [s].
+
+Any time is possible, because nothing moves.
+"""
 
 
 def slack_tendons(model: HandModel, estimate: Estimate) -> list[str]:

@@ -22,7 +22,7 @@ class RequestBase(Document):
     """Fields of every request."""
 
     by: str = Field("", max_length=40, pattern=r"^[\w.-]*$")
-    """Sender of the request, e.g. a program and a number, for the sender to recognise the answer."""
+    """Sender of the request, e.g. a program and a number. By it the sender recognises the answer."""
 
 
 class Arm(RequestBase):
@@ -44,7 +44,7 @@ class Cut(RequestBase):
 
 
 class Clear(RequestBase):
-    """Clear latched faults. A hand that they disarmed stays disarmed."""
+    """Clear latched faults. A hand that was disarmed by these faults stays disarmed."""
 
     do: Literal["clear"]
 
@@ -53,16 +53,18 @@ class CommandBase(RequestBase):
     """Fields of a request that moves the hand. One client commands at a time."""
 
     client: str = Field("", max_length=40, pattern=r"^[\w.-]*$")
-    """Client that commands. Requests without a client count as one client."""
+    """Client that commands. All requests without a client count as one client."""
     take_over: bool = False
-    """Take the command over from another client."""
+    """True to take the command over from another client."""
     lease_s: float | None = Field(None, ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)
-    """Longest silence of this client [s]. Each command and each `alive` ends a silence. After this time moving digits
+    """Longest silence of this client [s].
+
+    Each command and each `alive` restarts this time. After this time moving digits
     come to rest, and after twice this time the hand relaxes. Without it the last goal stays without a time limit."""
 
 
 class Alive(RequestBase):
-    """Tell that a client is alive. This renews the `lease_s` of its last command."""
+    """Send a sign of life of a client. This renews the `lease_s` of its last command."""
 
     do: Literal["alive"]
     client: str = Field(max_length=40, pattern=r"^[\w.-]*$")
@@ -70,7 +72,7 @@ class Alive(RequestBase):
 
 
 class MoveDigits(CommandBase):
-    """Move digits or joints to angles. A digit has one angle for all its joints."""
+    """Move digits or joints to angles. An angle by digit applies to all its joints."""
 
     do: Literal["move"]
     angle_deg: dict[str, Angle] = Field(min_length=1)
@@ -79,7 +81,7 @@ class MoveDigits(CommandBase):
 
 
 class Stay(CommandBase):
-    """Bring the moving digits to rest where they are. Digits that hold a tension go on."""
+    """Bring the moving digits to rest at their present positions. Digits that hold a tension continue."""
 
     do: Literal["stay"]
 
@@ -106,7 +108,7 @@ class OpenStream(CommandBase):
     interpolation: Literal["linear", "minimum_jerk"] = "linear"
     """Motion from one target to the next. Tensions and forces are always linear."""
     stiffness_N_m_per_rad: float | None = Field(None, gt=0, le=1000)
-    """Stiffness of the joints against a push [N m/rad]. Without it the digits are as stiff as the gains allow."""
+    """Stiffness of the joints against a push [N m/rad]. Without it the digits have the full stiffness of the gains."""
     damping_ratio: float = Field(1.0, ge=0.5, le=2)
     """Damping of a stiffness, as a multiple of the damping ratio of the gains."""
 
@@ -146,7 +148,7 @@ class SetGains(RequestBase):
 
     do: Literal["gains"]
     set: dict[str, float] = Field(min_length=1)
-    """Value by key, e.g. `motion.force_N`. All values are applied, or none."""
+    """Value by key, e.g. `motion.force_N`. If one value is refused, none is applied."""
 
 
 Request = (
@@ -194,7 +196,7 @@ class Target(NamedTuple):
 
     Attributes:
         stream: name of the stream.
-        number: number of the target. It rises from one target to the next.
+        number: number of the target, which rises from one target to the next.
         sent_ns: time at which the client sent the target [ns of the run].
         values: one per name of the stream, in its unit. Not checked.
     """
@@ -229,7 +231,7 @@ def alive_text(client: str) -> str:
 
 
 def is_routine(text: str) -> bool:
-    """Return True if a request comes many times in a run by itself: a target, or a sign of life."""
+    """Return True if clients send a request many times in a run: a target, or a sign of life."""
     return is_target(text) or text.startswith(_ALIVE)
 
 
@@ -248,7 +250,7 @@ def parse_target(text: str) -> Target | None:
 def parse_request(text: str) -> Request | str:
     """Parse a request, and return a line with the reason if it is invalid.
 
-    The line is printable whatever the datagram contained.
+    The line contains printable characters only, whatever the datagram contained.
     """
     try:
         return _ADAPTER.validate_json(text)

@@ -1,4 +1,4 @@
-"""Streams of targets from a client: what a target means for the digits of a hand."""
+"""Streams of targets from a client: conversion of a target to goals of the digits."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -19,20 +19,23 @@ from handctl.programs.program import Progress
 from handctl.programs.requests import OpenStream
 
 SPARE_TICKS = 2
-"""Control periods between the arrival of a target and the end of the motion to the target before.
+"""Number of control periods by which a motion to a target is prolonged.
 
-A target that is late by less than this leaves no gap.
+A target that is late by less than this time causes no stop.
 """
 STAY_S = 0.15
 """Duration of the motion to a stop [s]."""
 HELD_PERIODS = 2
-"""Fewest periods of a stream before the hand holds: one target may be lost."""
+"""Smallest number of stream periods without a target before the hand holds. One target may be lost."""
 OUTLIERS = {"joint": 720.0, "digit": 720.0, "tension": 5000.0, "tip_force": 500.0}
-"""Largest value that counts as a target, by space [deg, N]. A larger one is a mistake of the client, and is refused."""
+"""Largest value that counts as a target, by space [deg, N].
+
+A larger value is a mistake of the client, and is refused.
+"""
 UNITS = {"joint": "deg", "digit": "deg", "tension": "N", "tip_force": "N"}
 """Unit of the values of a target, by space."""
 MIN_STIFFNESS_FRACTION = 0.05
-"""Smallest fraction of the gains' stiffness. Below it friction decides where a digit stays."""
+"""Smallest fraction of the gains' stiffness. With less stiffness friction determines the position of a digit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +49,9 @@ class StreamPlan:
         names: names of the values.
         interpolation: motion from target to target: "linear" or "minimum_jerk".
         period: time from one target to the next [s].
-        horizon: time from the sending of a target to the moment at which the hand shall reach it [s].
-        softness: stiffness of the streamed digits [N m/rad]. None: that of the gains.
+        horizon: time between the sending of a target and the moment at which the hand shall reach
+            it [s]. softness: stiffness of the streamed digits [N m/rad]. None for the stiffness of
+            the gains.
         damping_ratio: multiple of the gains' damping ratio.
     """
 
@@ -105,7 +109,7 @@ class Mapping(NamedTuple):
     Attributes:
         matrix: (C, V) coordinates [rad] per value [deg].
         driven: (C,) True where the stream sets the coordinate.
-        digits: indices of the digits with such a coordinate.
+        digits: indices of the digits with a coordinate that the stream sets.
         held: indices of those digits whose tendons cannot hold every posture, see ``holdable``.
     """
 
@@ -132,7 +136,8 @@ def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
             else []
         )
         if given:
-            # The coordinates nearest to the angles: joints that springs couple turn together.
+            # These are the coordinates nearest to the angles, because joints that springs couple
+            # turn together.
             columns = [names.index(hand.joints[digit.joints][j]) for j in given]
             values[places, columns] = np.linalg.pinv(digit.coupling[given])
             digits.append(d)
@@ -142,7 +147,7 @@ def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
 
 
 def unsuitable(model: HandModel, request: OpenStream) -> str:
-    """Return why a stream does not suit the hand, empty if it does."""
+    """Return the reason why the hand cannot follow a stream, empty if it can."""
     hand = model.hand
     right = {"joint": hand.joints, "tension": hand.tendon_names}.get(
         request.space, hand.digit_names
@@ -181,7 +186,10 @@ def opened(model: HandModel, request: OpenStream) -> StreamPlan | str:
 FLOOR_MARGIN_N = 0.5
 """Margin of the tensions above the floor in a posture that counts as holdable [N]."""
 HELD_STEPS = 4
-"""Steps of Newton's method towards a holdable posture. Gravity, which the slope leaves out, needs more than one."""
+"""Steps of Newton's method towards a holdable posture.
+
+Because of gravity, which the slope does not include, more than one step may be necessary.
+"""
 
 
 def holdable(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
@@ -258,7 +266,8 @@ def tensions_of(
         model: the hand.
         stream: stream of tensions or forces.
         values: (V,) values of the target [N].
-        present: (N,) present tension setpoints [N]. Tendons without a value keep theirs.
+        present: (N,) present tension setpoints [N]. Tendons without a value keep their present
+            setpoints.
         q: (J,) joint angles [rad], for the levers of tip forces.
     """
     hand, tension = model.hand, present.copy()
@@ -268,7 +277,8 @@ def tensions_of(
     for name, force in zip(stream.names, values.tolist(), strict=True):
         digit = model.digits[hand.digit_names.index(name)]
         angles, tendons = q[digit.joints], digit.tendons
-        # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
+        # The torque of springs and gravity, plus the tip force times its lever, in the digit's
+        # coordinates.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
         torque += max(force, 0.0) * reduced_tip_lever(digit, angles)
         arms = digit.at(angles).reduced_moment_arms
@@ -286,8 +296,8 @@ def streamed_goals(
     Args:
         progress: progress with the present goals.
         digits: indices of the digits.
-        tension: for each digit of the hand, the present tension setpoints [N] of a stream of tensions,
-            None for a stream of angles.
+        tension: for each digit of the hand, the present tension setpoints [N] of a stream of
+            tensions, None for a stream of angles.
     """
     goals = list(progress.goals)
     contact = list(progress.contact)
@@ -301,7 +311,10 @@ def streamed_goals(
 
 
 STREAMED_RATE = 0.0
-"""Rate of the goal of a digit with streamed tensions [N/s]. The targets bring their own."""
+"""Rate of the goal of a digit with streamed tensions [N/s].
+
+It has no effect, because the targets contain the setpoints.
+"""
 
 
 def staying(
@@ -340,7 +353,7 @@ def staying(
 SHORTEST_BLEND_S = 0.05
 """Shortest time in which an earlier motion fades [s]."""
 _SHARES = np.linspace(0.0, 1.0, 33)[1:]
-"""Moments of a move at which its course is checked, as fractions of the duration."""
+"""Instants at which the positions of a move are checked, as fractions of its duration."""
 
 
 def continued(
@@ -348,8 +361,8 @@ def continued(
 ) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference, at rest at the end.
 
-    A long move that continued a fast motion would run far beyond both its ends. The earlier motion
-    then fades in a shorter time, the longest that keeps the joints within their range.
+    A long move that continued a fast motion would run far beyond its ends. Therefore the earlier
+    motion fades in a shorter time, the longest one that keeps the joints within their range.
 
     Args:
         reference: (3, n) position, rate and acceleration [rad, s].

@@ -17,7 +17,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import read_toml
 
-if TYPE_CHECKING:  # imports numba, which reading a task does without
+if TYPE_CHECKING:  # imported for types only, because it imports numba, which the reading of a task does not need
     from handctl.hand.digit import DigitModel
 
 Angle = Annotated[float, Field(ge=-30, le=150)]
@@ -36,13 +36,13 @@ FOLLOW_SPEED_DEG_S = 700.0
 A rotor that stops at once adds tension in proportion to its speed.
 """
 SHORTEST_MOVE_S = 0.05
-"""Shortest duration of a move [s]. Anything shorter is a step, and its square may underflow."""
+"""Shortest duration of a move [s]. A shorter move would be a step, and the square of its duration may underflow."""
 RESERVED_NAMES = ("start", "tare")
-"""Phase names of the controller: the beginning of a program, and load cells without a tare."""
+"""Phase names that the controller itself uses, for the start of a program and for load cells without a tare."""
 
 
 class Move(Document):
-    """Move to joint angles along a minimum-jerk path. Digits without an angle stay where they are."""
+    """Move to joint angles along a minimum-jerk path. Digits without an angle keep their positions."""
 
     kind: Literal["move"]
     name: str = "move"
@@ -50,13 +50,13 @@ class Move(Document):
     """One angle for all joints, or one per digit or joint (``index``, ``index_j1``).
 
     A one-tendon digit takes the mean joint angle. A digit with a tendon for each joint also takes a
-    list, from the palm outwards. Joints without an angle stay where they are.
+    list, from the palm outwards. Joints without an angle keep their positions.
     """
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=3600)
 
 
 class Close(Document):
-    """Close until contact: a digit in contact holds its tension, the others go on."""
+    """Close until contact. A digit in contact holds its tension while the other digits continue."""
 
     kind: Literal["close"]
     name: str = "close"
@@ -64,12 +64,12 @@ class Close(Document):
     """Angle at which a digit or joint without contact stops."""
     speed_deg_s: float = Field(60.0, gt=0, le=FOLLOW_SPEED_DEG_S)
     contact_tension_N: Tension = 8.0
-    """Least tension of a digit in contact."""
+    """Smallest tension of a digit in contact."""
     timeout_s: Duration = 10.0
 
 
 class Hold(Document):
-    """Hold a tension or a tip force with the digits in contact. The others stay where they are."""
+    """Hold a tension or a tip force with the digits in contact. The other digits keep their positions."""
 
     kind: Literal["hold"]
     name: str = "hold"
@@ -108,7 +108,7 @@ class Follow(Document):
     time_s: tuple[Annotated[float, Field(ge=0, le=3600)], ...] = Field(min_length=2, max_length=100_000)
     """Times, rising from 0."""
     angle_deg: dict[str, tuple[Angle, ...]] = Field(min_length=1)
-    """Angles of each digit or joint, one for each time. Digits and joints without angles stay where they are."""
+    """Angles of each digit or joint, one for each time. Digits and joints without angles keep their positions."""
 
     @model_validator(mode="after")
     def _rising(self) -> "Follow":
@@ -118,7 +118,7 @@ class Follow(Document):
             if len(angles) != len(self.time_s):
                 raise ValueError(f"{digit} must have an angle for each of the {len(self.time_s)} times")
             peak = math.degrees(_peak_speed(self.time_s, tuple(map(math.radians, angles))))
-            # The negation also refuses NaN.
+            # The comparison is negated, so that NaN is refused.
             if not peak <= FOLLOW_SPEED_DEG_S:
                 raise ValueError(f"at most {FOLLOW_SPEED_DEG_S:g} deg/s on the way; {digit} reaches {peak:.0f}")
         return self
@@ -138,8 +138,8 @@ def _peak_speed(times: tuple[float, ...], angles: tuple[float, ...]) -> float:
 def curve_through(times: tuple[float, ...], angles: tuple[float, ...]) -> Curve:
     """Return the curve of one coordinate through angles [rad] at times [s].
 
-    The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a later tick, and takes
-    them from the cache.
+    The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
+    later tick, and takes them from the cache.
     """
     return Curve.through(times, angles, 1)
 
@@ -164,7 +164,7 @@ class Task(Document):
 
 
 class TrajectoryFile(Document):
-    """A motion as points in time, from another program."""
+    """A motion from another program, given as positions at times."""
 
     schema_: int = Field(alias="schema", ge=1, le=1)
     name: str
@@ -276,7 +276,7 @@ def check_task(
 
 
 def _check_count(digit: str, value: object, digit_shapes: Mapping[str, DigitShape] | None, key_path: str) -> None:
-    """Refuse a list of the wrong length: an angle per coordinate, a tension per tendon."""
+    """Check the length of a list: one angle per coordinate, one tension per tendon."""
     if digit_shapes is None or not isinstance(value, tuple):
         return
     if digit not in digit_shapes:
@@ -316,7 +316,8 @@ def end_angles(value: float | dict[str, Angles], digit: "DigitModel", now: Vecto
     Args:
         value: angles of the phase, by digit or joint [deg].
         digit: the digit.
-        now: (n_c,) coordinates at the beginning [deg]. Joints without an angle stay there.
+        now: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
+            angles.
     """
     given = joint_values(value, digit)
     if not given:

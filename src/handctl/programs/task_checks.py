@@ -32,7 +32,7 @@ Span = tuple[Vector, Vector]
 
 
 def check_suits(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel] = ()) -> None:
-    """Raise an error for a task that does not suit the hand.
+    """Check that a hand can execute a task.
 
     Args:
         task: task to check.
@@ -41,8 +41,9 @@ def check_suits(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel]
         digits: models of the hand's digits. Without them they are built, which takes milliseconds.
 
     Raises:
-        ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of the task, a move is
-            too fast, a tip force is for an underactuated digit, or a slip limit is below the tension.
+        ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of
+            the task, a move is too fast, a tip force is for an underactuated digit, or a slip limit
+            is below the tension.
     """
     check_task(
         task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes_of_digits(hand)
@@ -55,7 +56,7 @@ def check_suits(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel]
 
 
 def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
-    """Refuse a move above the largest joint speed, from any possible end of the phases before.
+    """Check that no move exceeds the largest joint speed, from any position in which the phases before may end.
 
     Args:
         task: task whose numbers fit the digits.
@@ -108,7 +109,7 @@ ROUNDING_DEG = 1e-6
 
 
 def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel]) -> None:
-    """Check the angles of a task, digit by digit. Beyond the range a joint only presses on the stop.
+    """Check the angles of a task for each digit. Beyond the range a joint only presses on the stop.
 
     Args:
         task: task that suits the hand otherwise.
@@ -134,13 +135,13 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
 
 
 def _check_joints(phase: Move | Close | Follow, digit: DigitModel, described: Digit, place: str) -> None:
-    """Refuse joint angles beyond the limits, and angles that coupled joints cannot have together."""
+    """Check that joint angles are within their limits, and that coupled joints can have them together."""
     given = joint_values(phase.angle_deg, digit)
     if not given:
         return
     low, high = np.degrees(digit.joint_min), np.degrees(digit.joint_max)
     if digit.coupling.shape[1] == 1:
-        # The joints of a one-tendon digit turn together, until the first is at its limit.
+        # The joints of a digit with one tendon turn together until one joint is at its limit.
         ends = np.sort(digit.coupling @ np.array(coordinate_range_deg(described)).T, axis=1)
         low, high = np.maximum(low, ends[:, 0]), np.minimum(high, ends[:, 1])
     # One row per time of a curve.
@@ -155,7 +156,7 @@ def _check_joints(phase: Move | Close | Follow, digit: DigitModel, described: Di
 
 
 def check_tip_force(task: Task, hand: Hand, where: str) -> None:
-    """Refuse a tip force of an underactuated digit.
+    """Check that no tip force is required of an underactuated digit.
 
     The tension of a digit with fewer tendons than joints fixes one combination of joint torques,
     not the force at the tip. At a requested 4 N, fingers of `jamia` curled up on a wall and pressed
@@ -184,7 +185,7 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
 
 
 def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
-    """Refuse a slip limit below the tension of its hold. Slip could then raise no tension.
+    """Check that no slip limit is below the tension of its hold. Slip could then raise no tension.
 
     Args:
         task: task that suits the hand otherwise.

@@ -1,4 +1,4 @@
-"""Unsolicited and duplicate replies: a node sends more replies than this host has sent requests.
+"""Detection of unsolicited and duplicate replies: a node sends more replies than this host has sent requests.
 
 A motor that replies before the first request from this host has been addressed by a second
 controller (H13). A single reply is enough for this fault. If there are more replies than requests,
@@ -16,7 +16,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.sensors.contract import Sensors
 
 LATE_TICKS = 50
-"""Ticks for which a missing answer may still arrive. A busy node works off its queue over many ticks."""
+"""Ticks for which a missing answer may still arrive. A busy node may answer its queued requests over many ticks."""
 
 
 def detect_unsolicited_replies(
@@ -40,7 +40,7 @@ def detect_unsolicited_replies(
     surplus = state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus):
-        # 1: replied without a request. More: number of replies to one request.
+        # 1 means a reply without a request. A larger number is that of replies to one request.
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:
@@ -50,7 +50,7 @@ def detect_unsolicited_replies(
 
 
 def _detect_duplicate_answers(sensors: Sensors, before: State, state: State, frames: Sequence[Frame]) -> None:
-    """Write duplicate answers of the load cells into ``DUPLICATES``, and late ones into ``STALE``."""
+    """Write duplicate answers of the load cells into ``DUPLICATES``, and count late ones in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
     excused = not sensors.has_counter and (state.whole(s.MISSED_TICKS) > 0 or _has_lost_answers(before))
     answered = before.view("group_answered").tolist()
@@ -72,8 +72,8 @@ def _detect_duplicate_answers(sensors: Sensors, before: State, state: State, fra
 def _has_lost_answers(before: State) -> bool:
     """Return True if answers of the load cells were missing in the last ``LATE_TICKS`` ticks.
 
-    An answer without a counter that comes in addition is then late, and not a duplicate. The same
-    holds after a tick without an answer, and if this host has missed a tick.
+    An additional answer without a counter then counts as late, and not as a duplicate. This is also
+    so after a tick without an answer, and if this host has missed a tick.
     """
     return bool(before.layout.table(before.block, "node_int")[s.LOST_REPLIES, -1] & (1 << LATE_TICKS) - 1)
 

@@ -107,7 +107,8 @@ def compiled_constants(
 def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
     """Return one count of kp [N m/rad] and kd [N m s/rad], and the force by a count of input [N].
 
-    Commands without kp and kd have 1. A loop of less than one count has one count.
+    Commands without kp and kd have 1. A stiffness or damping of less than one count is rounded up
+    to one count.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
@@ -133,7 +134,7 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
 def torque_resolution(drive: Drive) -> float:
     """Return the torque of one count in feedback or command, the larger of the two [N m at the spool].
 
-    A floating-point torque counts as exact.
+    It is 0 for a floating-point torque.
     """
     messages = (*drive.cyclic.feedback, *drive.cyclic.commands)
     signals = [signal for message in messages for signal in message.signals if signal.quantity == Quantity.TORQUE]
@@ -146,14 +147,15 @@ def max_frames_per_tick(drives: Sequence[Drive], sensors: Sensors) -> int:
 
 
 def _noise_limit(model: HandModel) -> float:
-    """Return the largest mean squared jerk of a motor's position without a noise burst [rad^2].
+    """Return the largest mean squared jerk of a motor's position without encoder noise [rad^2].
 
     The limit allows for full torque in alternating directions on the bare rotor, and for encoder
     rounding.
     """
     space = model.space
     period = model.period
-    # Acceleration of the bare rotor at full torque [rad/s^2]: torque / spool = force, / mass, / spool.
+    # Acceleration of the bare rotor at full torque [rad/s^2]: torque / spool = force, / mass, /
+    # spool.
     torque = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
     rounding = NOISE_STEPS * float((space.encoder_step / space.spool).max()) ** 2
     return NOISE_FACTOR * ((0.1 * torque * period**2) ** 2 + rounding)

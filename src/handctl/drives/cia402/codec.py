@@ -67,7 +67,10 @@ _STATES = (
     (0x4F, 0x00, NOT_READY), (0x4F, 0x40, OFF), (0x6F, 0x21, READY_TO_SWITCH_ON), (0x6F, 0x23, SWITCHED_ON),
     (0x6F, 0x27, OPERATION_ENABLED), (0x6F, 0x07, QUICK_STOP), (0x4F, 0x0F, FAULT_REACTION), (0x4F, 0x08, FAULT),
 )  # fmt: skip
-"""(mask, value, power state) of the status word. Source: CiA 402-2, status word coding."""
+"""Mask and value of the status word for each power state: (mask, value, power state).
+
+Source: CiA 402-2, status word coding.
+"""
 WITHOUT_TORQUE = frozenset((NOT_READY, OFF, READY_TO_SWITCH_ON, FAULT))
 """States with the power stage off."""
 NEXT_COMMAND = {

@@ -24,7 +24,7 @@ PROFILE = 402
 AMPLIFIER_PROFILE = 404
 """Profile number of measuring amplifiers."""
 CHANNELS = (0x6131, 0)
-"""Object with the number of an amplifier's channels: the entries of the array of units. Source: CiA 404."""
+"""Object with the number of an amplifier's channels, which is the length of the array of units. Source: CiA 404."""
 SERIAL_NUMBER = (0x1018, 4)
 """Object with the serial number, an optional object."""
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
@@ -36,8 +36,8 @@ _RPDOS = (0x200, 0x300, 0x400, 0x500)
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the request frames of a round.
 
-    Round 2 reads the device type of every number, round 3 the serial number of discovered nodes, and the number of
-    channels of measuring amplifiers.
+    Round 2 reads the device type of every number, round 3 the serial number of discovered nodes,
+    and the number of channels of measuring amplifiers.
     """
     if turn == 2:
         return tuple(Frame(codec.SDO_REQUEST + number, codec.upload_request(DEVICE_TYPE, 0)) for number in NODE_NUMBERS)

@@ -2,9 +2,9 @@
 
 In each tick the host sends one RPDO (control word, target torque), and the drive sends one TPDO
 (status word, position, torque). The drive sends the TPDO at SYNC. The SYNC of the sensor node has
-the same identifier 0x080 and serves both. On a bus without a sensor node, the option ``sync`` of
-one drive makes handctl send SYNC. This host's heartbeat is the drive's watchdog. Only a status word
-proves that the drive is enabled or disabled.
+the identifier 0x080 too, and also requests the TPDO. On a bus without a sensor node, the option
+``sync`` of one drive makes handctl send SYNC. This host's heartbeat is the drive's watchdog. Only a
+status word proves that the drive is enabled or disabled.
 """
 
 import math
@@ -102,7 +102,8 @@ class Cia402Drive:
             mode: mode of operation.
 
         Raises:
-            ConfigError: an option unknown to CiA 402, the node number of this host, or too large a torque.
+            ConfigError: an option unknown to CiA 402, the node number of this host, or too large a
+                torque.
         """
         options = dict(motor.options if given is None else given)
         where = f"motor[{motor.name}].options"
@@ -137,7 +138,7 @@ class Cia402Drive:
                 motor.node_id, round(rated * TORQUE_UNITS[unit]), max_torque, watchdog, heartbeat, mode
             ),
             sync=sync,
-            # Three heartbeats per watchdog time: two may be lost.
+            # Three heartbeats are sent per watchdog time, so two may be lost.
             heartbeat_period_ns=watchdog * 1_000_000 // 3,
             life_sign_timeout_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
         )
@@ -287,7 +288,7 @@ class Cia402Drive:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         if target == LISTEN:
             return state, ()
-        # A status word is a sign of life as well; compiled code may have read the last ones.
+        # A status word is a sign of life as well. Compiled code may have received the latest one.
         if 0 <= max(progress_of(state).life_sign_ns, state.feedback_t_ns) < t_ns - self.life_sign_timeout_ns:
             state = state_after_timeout(state)
         state, frames = self._command(state, t_ns, target, torque)
@@ -373,7 +374,7 @@ class Cia402Drive:
         A fault cleared by the operator is reset by the rising edge of a control bit.
         """
         if progress.clearing and progress.power == codec.FAULT:
-            # Alternate words, since only the edge of bit 7 resets.
+            # The control word alternates, because only the rising edge of bit 7 resets a fault.
             control_word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
             return state._replace(private=progress), (self._rpdo(control_word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_NS:
@@ -416,8 +417,8 @@ class Cia402Drive:
 
         Pre-operational makes the drive fault through object 0x6007.
 
-        The order matters. A node outside operational reads no PDO, and CiA 402-2 does not require the loss
-        of torque on entry to pre-operational.
+        The order matters. A node outside operational reads no PDO, and CiA 402-2 does not require
+        the loss of torque on entry to pre-operational.
         """
         return (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._nmt(codec.PRE_OPERATIONAL))
 

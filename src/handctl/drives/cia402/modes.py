@@ -1,11 +1,12 @@
 """CiA 402 drive in cyclic synchronous position or velocity mode.
 
-RPDO1 carries the target position (0x607A) or the target velocity (0x60FF). The maximum speed (0x6080) is
-read back before arming and while enabled, besides the objects of torque mode. In position mode the
-following error window (0x6065, 0x6066) makes a blocked shaft a fault of the drive.
+RPDO1 carries the target position (0x607A) or the target velocity (0x60FF). The maximum speed
+(0x6080) is read back before arming and while enabled, besides the objects of torque mode. In
+position mode the following error window (0x6065, 0x6066) makes a blocked shaft a fault of the
+drive.
 
-The unit of 0x60FF differs between makers. Option ``velocity_unit`` is rev_min (default, as on EPOS4) or
-count_s. 0x6080 is in 1/min. Source: CiA 402-2.
+The unit of 0x60FF differs between makers. Option ``velocity_unit`` is rev_min (default, as on
+EPOS4) or count_s. 0x6080 is in 1/min. Source: CiA 402-2.
 """
 
 import math
@@ -32,7 +33,7 @@ FOLLOWING_RAD = 0.5
 FOLLOWING_MS = 200
 """Longest duration of a larger following error without a fault [ms]."""
 RPM = math.tau / 60.0
-"""One revolution per minute [rad/s]."""
+"""Speed of one revolution per minute [rad/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +77,8 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
     """Return the drive of a motor description in a mode.
 
     Raises:
-        ConfigError: an option unknown to CiA 402, a mode that is not supported, or a limit beyond an object.
+        ConfigError: an option unknown to CiA 402, a mode that is not supported, or a limit beyond
+            an object.
     """
     if mode not in _MODES:
         raise ConfigError(mode.value, "mode", "position, velocity or torque for a CiA 402 drive")
@@ -114,7 +116,7 @@ def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Step,
         maximum,
         setup.Step(write, 0x6065, 0, window, 4),
         setup.Step(write, 0x6066, 0, FOLLOWING_MS, 2),
-        # Value times ten to the power of the index, in seconds: milliseconds.
+        # The interpolation time is value x 10^index seconds. The index -3 means milliseconds.
         setup.Step(write, 0x60C2, 1, INTERPOLATION_MS, 1),
         setup.Step(write, 0x60C2, 2, 0xFD, 1),
     )

@@ -10,7 +10,7 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-# Error codes of the host, above the 16 bits of an emergency.
+# Error codes that handctl adds, above the 16 bits of an emergency.
 DROPPED_OUT = 0x1_0000
 MISMATCH = 0x1_0001
 LOST = 0x1_0002

@@ -1,8 +1,8 @@
 """Objects required in a CiA 402 drive before arming, written and read back by SDO.
 
 RPDO1 has type 255: torque acts on arrival, in the tick that computed it, as in the other protocols.
-TPDO1 has type 1: sampled at SYNC. A lost heartbeat of the master is a fault of the drive (0x1016,
-0x6007).
+TPDO1 has type 1: it is sampled and sent at SYNC. A lost heartbeat of the master is a fault of the
+drive (0x1016, 0x6007).
 """
 
 import enum
@@ -13,7 +13,7 @@ from handctl.drives.cia402 import codec
 from handctl.drives.readback import Cursor
 
 UNLIMITED = 1 << 62
-"""Unlimited number of requests, for an object requested until the drive answers."""
+"""Number of requests for an object that is requested until the drive answers: no limit."""
 POSITION_MODE = 8
 """Mode of operation: cyclic synchronous position."""
 VELOCITY_MODE = 9
@@ -35,7 +35,7 @@ SERIAL_NUMBER = 0x1018, 4
 
 
 class Check(enum.IntEnum):
-    """How an object is written and compared."""
+    """Rule for writing an object and comparing its value."""
 
     SAME = 0
     """Read the object. The value must equal the required value."""
@@ -107,7 +107,8 @@ def required_steps(
     target, size = TARGETS[mode]
     same, bits, write, write_optional, read, *_ = Check
     bases = ((0x1400, codec.RPDO), (0x1800, codec.TPDO))
-    # PDO 2 to 4 are switched off: records follow each other, and their default COB-IDs are 0x100 apart.
+    # PDO 2 to 4 are switched off. Their records have consecutive indices, and their default COB-IDs
+    # are 0x100 apart.
     others = [
         Step(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
         for base, cob in bases
@@ -118,12 +119,12 @@ def required_steps(
         Step(bits, 0x1000, 0, 0x0192, 4),
         Step(read, *SERIAL_NUMBER, 0, 4),
         Step(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
-        # Supported modes: bit 9 is mode 10, cyclic synchronous torque.
+        # In the supported modes, bit 9 is mode 10, cyclic synchronous torque.
         Step(bits, 0x6502, 0, 1 << mode - 1, 4),
         Step(same, 0x6076, 0, rated, 4),
         Step(write, 0x6072, 0, max_torque, 2),
         Step(write, 0x6071, 0, 0, 2),
-        # Abort connection option 1: fault on loss of the master.
+        # Abort connection option 1 makes the loss of the master a fault.
         Step(write, 0x6007, 0, 1, 2),
         Step(write, 0x1016, 1, MASTER << 16 | watchdog_ms, 4),
         Step(write, 0x1017, 0, heartbeat_ms, 2),
@@ -167,7 +168,8 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
     """Advance the read-back with an SDO reply. Replies to other requests are ignored.
 
     Returns:
-        the new cursor, the value of a TELL_IF_THERE object (else 0), and the problem in words, empty
+        the new cursor, the value of a TELL_IF_THERE object (else 0), and the problem in words,
+        empty
         without a problem.
     """
     step = required[cursor.step]

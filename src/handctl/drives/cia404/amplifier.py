@@ -1,8 +1,8 @@
 """CiA 404 amplifier as a state machine: from silence to an answer to every SYNC.
 
-The host sets the amplifier to pre-operational, reads and writes its objects, and starts it. Only then are its
-TPDOs used. An amplifier that restarts is set up again before the next arming, and never while torque may act.
-No frame of this module reaches a motor.
+The host sets the amplifier to pre-operational, reads and writes its objects, and starts it. Its
+TPDOs are used only after the start. An amplifier that restarts is set up again before the next
+arming, and never while torque may act. No frame of this module reaches a motor.
 """
 
 from dataclasses import dataclass
@@ -79,7 +79,10 @@ class Amplifier:
         return state
 
     def _on_life_sign(self, state: AmplifierState) -> AmplifierState:
-        """Return the state after a sign of the NMT state operational. It counts after the set-up and the start."""
+        """Return the state after a sign of the NMT state operational.
+
+        The sign is used only after the set-up and the start.
+        """
         if state.cursor.step < len(self.steps) or state.started_ns < 0:
             return state
         return state._replace(phase=READY, error_text="")

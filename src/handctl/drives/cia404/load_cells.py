@@ -7,9 +7,10 @@ All identifiers are the base plus the node number n.
     TPDO1    0x180 + n                  host        0..3 channel 1 | 4..7 channel 2
     TPDO2-4  0x280, 0x380, 0x480 + n    host        two further channels each
 
-A channel is the process value as INTEGER32 (object 0x9130, with decimal digits) or REAL32 (object 0x6130), in
-newton, little-endian. A frame has no counter. A frame that arrives earlier than any answer to the latest SYNC
-can arrive is stale. A later frame counts as fresh. Source: docs/facts/cia404.md.
+A channel is the process value as INTEGER32 (object 0x9130, with decimal digits) or REAL32 (object
+0x6130), in newton, little-endian. A frame has no counter. A frame that arrives earlier than any
+answer to the latest SYNC can arrive is stale. A later frame counts as fresh. Source:
+docs/facts/cia404.md.
 """
 
 from dataclasses import dataclass
@@ -35,7 +36,8 @@ TENSION_LOW_N = -4.0
 SHORTEST_ANSWER_NS = 100_000
 """Shortest time from the start of a tick to the end of an answer to its SYNC [ns].
 
-SYNC (47 bits) and a TPDO of 4 bytes (79 bits) take 126 us at 1 Mbit/s. The rest is a margin for the time stamp.
+SYNC (47 bits) and a TPDO of 4 bytes (79 bits) take 126 us at 1 Mbit/s. The difference is a margin
+for the time stamp.
 """
 
 
@@ -115,7 +117,7 @@ class Cia404LoadCells:
             bus: index of the bus.
             tendons: all tendon names of the hand, in order.
         """
-        assert node.range_N is not None  # the checks of the file demand it
+        assert node.range_N is not None  # the checks of the hand file guarantee a value
         _, coding = PROCESS_VALUES[node.process_value]
         amplifiers, ranges, ids, channels = list[Amplifier](), list[range](), list[int](), list[tuple[int, ...]]()
         cells = [tendons.index(name) for name in node.tendons]
@@ -170,7 +172,10 @@ class Cia404LoadCells:
 
     @property
     def cell_range(self) -> tuple[float, float]:
-        """Return the rated load of both signs [N]. The codes for an overload are beyond: NaN, or -2^31 counts."""
+        """Return the rated load of both signs [N].
+
+        The codes for an overload are beyond this range: NaN, or -2^31 counts.
+        """
         return -self.range_n, self.range_n
 
     @property
@@ -215,7 +220,7 @@ class Cia404LoadCells:
 
     @property
     def has_counter(self) -> bool:
-        """Return False, because a process value names no SYNC."""
+        """Return False, because a process value does not identify its SYNC."""
         return False
 
     def counter(self, k: int) -> int:
@@ -231,7 +236,7 @@ class Cia404LoadCells:
         return sync_ns + SHORTEST_ANSWER_NS
 
     def answers(self, data: bytes, counter: int) -> bool:
-        """Return True, because no payload names its SYNC."""
+        """Return True, because no payload identifies its SYNC."""
         return True
 
     def lost(self, syncs: int, accepted: int, stale: int) -> int:

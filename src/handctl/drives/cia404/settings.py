@@ -1,7 +1,7 @@
 """Objects required in a CiA 404 amplifier before arming, written and read back by SDO.
 
-Every TPDO with load cells has transmission type 1: sampled and sent at each SYNC. Unit and decimal digits
-are read first, and written only if they differ. Source: docs/facts/cia404.md.
+Every TPDO with load cells has transmission type 1: sampled and sent at each SYNC. Unit and decimal
+digits are read first, and written only if they differ. Source: docs/facts/cia404.md.
 """
 
 from handctl.drives.cia402 import codec
@@ -14,13 +14,13 @@ NEWTON = 0x0021_0000
 HEARTBEAT_MS = 100
 """Period of the amplifier's heartbeat [ms]."""
 TPDO_BASES = (0x180, 0x280, 0x380, 0x480)
-"""Identifiers of TPDO 1 to 4, plus the node number. Source: CiA 301, predefined connection set."""
+"""Identifiers of TPDO 1 to 4, without the node number that is added. Source: CiA 301, predefined connection set."""
 CHANNELS_PER_TPDO = 2
 """Values of 32 bits in 8 bytes."""
 CHANNEL_BYTES = 4
 """Size of a process value [bytes]."""
 PROCESS_VALUES = {"int32": (0x9130, Coding.SIGNED), "real32": (0x6130, Coding.FLOAT)}
-"""Object of the process value, and its coding, by the word of the hand file."""
+"""Object of the process value, and its coding, by the value of ``process_value`` in the hand file."""
 
 
 def required_steps(node_id: int, channels: int, process_value: str, digits: int) -> tuple[Step, ...]:
@@ -43,14 +43,14 @@ def required_steps(node_id: int, channels: int, process_value: str, digits: int)
         steps.append(Step(adjust, 0x6131, channel, NEWTON, 4))
         if process_value == "int32":
             steps.append(Step(adjust, 0x6132, channel, digits, 1))
-        # Bit 0 not valid, bit 1 and 2 positive and negative overload.
+        # Bit 0 means not valid, bits 1 and 2 mean positive and negative overload.
         steps.append(Step(Check.SAME_IF_PRESENT, 0x6150, channel, 0, 1))
     for i, base in enumerate(TPDO_BASES):
         first = CHANNELS_PER_TPDO * i
         mapped = range(first + 1, min(first + CHANNELS_PER_TPDO, channels) + 1)
         entries = tuple(number << 16 | channel << 8 | 8 * CHANNEL_BYTES for channel in mapped)
         if entries:
-            # The inhibit time may hold an answer back: it is 0, written while the PDO is off.
+            # An inhibit time could delay answers. It is set to 0 while the PDO is off.
             inhibit = Step(Check.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
             off, *rest = pdo_steps(0x1800 + i, 0x1A00 + i, base + node_id, 1, entries)
             steps += [off, inhibit, *rest]

@@ -1,1 +1,1 @@
-"""Motors with the MIT protocol: Damiao, and CubeMars with less feedback."""
+"""Motors with the MIT protocol: Damiao, and CubeMars, whose feedback contains less."""

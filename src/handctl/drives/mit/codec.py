@@ -28,11 +28,11 @@ Register request, identifier 0x7FF, and register reply, identifier MST_ID, 8 byt
     byte    0, 1     2                                                3          4..7
     field   ESC_ID   33 read, 55 write, AA save, CC refresh           register   uint32 or float32
 
-Register replies share identifier and length with feedback. Here the first four bytes distinguish
-them. Feedback with the same four bytes would mean a position within 0.3 % of -PMAX, outside the
-travel of any hand.
+Register replies share identifier and length with feedback. Here they are distinguished by the first
+four bytes. Feedback with the same four bytes would mean a position within 0.3 % of -PMAX, outside
+the travel of any hand.
 
-Source: Damiao DM-J4310-2EC manual. Details missing in the manual are from public clients (LeRobot,
+Source: Damiao DM-J4310-2EC manual. Details that the manual lacks are from public clients (LeRobot,
 i2rt, openarm_can).
 """
 
@@ -71,7 +71,7 @@ REGISTER_NAMES = {
 _INTEGER = struct.Struct("<I")
 _FLOAT = struct.Struct("<f")
 _FORMATS = {TIMEOUT: _INTEGER, CTRL_MODE: _INTEGER, SERIAL_NUMBER: _INTEGER}
-"""Registers with an unsigned integer. All others are float32."""
+"""Registers with an unsigned integer. All other registers are float32."""
 MIT_MODE = 1
 """Value of CTRL_MODE for MIT mode."""
 POSITION_MODE = 2
@@ -85,7 +85,7 @@ SPEED_CODES = 100.0
 FULL_SCALE_COUNT = 10_000
 """Largest code of speed and current limit in force-position mode."""
 TIMEOUT_UNITS_PER_MS = 20
-"""Watchdog counts per millisecond: one count is 50 us."""
+"""Watchdog counts per millisecond. One count is 50 us."""
 
 # State nibbles of a motor without an error.
 DISABLED = 0
@@ -270,7 +270,7 @@ def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0
     """
     position = _signal_over_range("position", Quantity.POSITION, 15, 16, ranges.position, "rad", sign)
     return Message("feedback", can_id, 8, (
-        # State and node nibbles as one status byte: one comparison checks both.
+        # State and node nibbles form one status byte, so that one comparison checks both.
         Signal("state", Quantity.STATUS, 7, 8, True),
         # Spool angle = sign * (motor angle - zero).
         position._replace(offset=position.offset - sign * zero),

@@ -1,4 +1,4 @@
-"""CubeMars AK motor in MIT mode: Damiao's command frame, and less feedback.
+"""CubeMars AK motor in MIT mode: it has Damiao's command frame, and feedback with less content.
 
 Command and special commands: identifier and layout as in ``codec``. Feedback, on the identifier of
 the command, 8 bytes (6 on older firmware, without bytes 6 and 7), big-endian:
@@ -81,7 +81,7 @@ UNVERIFIED_PROTECTIONS = (
     "ranges cannot be read back; motor_type must be right",
     "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",
 )
-"""Protections not verifiable by handctl, one line each."""
+"""Protections of the motor that handctl cannot verify, one line each."""
 
 
 class CubemarsProgress(NamedTuple):
@@ -140,7 +140,7 @@ class CubemarsDrive:
         feedback = codec.feedback_message(self.node_id, self.ranges, self.direction, self.zero)
         state, position, velocity, torque, _, _ = feedback.signals
         signals = (
-            # Byte 0 is the whole node number here, not state and node nibbles.
+            # Here byte 0 is the whole node number, and has no state nibble.
             state._replace(name="node"),
             position,
             velocity,
@@ -204,7 +204,7 @@ class CubemarsDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return the protections not verifiable by handctl, one line each."""
+        """Return the protections that handctl cannot verify, one line each."""
         return UNVERIFIED_PROTECTIONS
 
     @property
@@ -272,12 +272,12 @@ class CubemarsDrive:
 
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
         """Return the state after an answer to the present command."""
-        # An answer from before the command proves nothing.
+        # An answer that was sent before the command does not show its effect.
         if state.feedback_t_ns < progress.since_ns:
             return state
         if progress.command_sent == ENABLE:
             if progress.answers >= ANSWERS_REQUIRED:
-                return state  # enough answers: further ones change nothing
+                return state  # there are enough answers, and further answers have no effect
             done = state.phase != FAULT and progress.answers + 1 >= ANSWERS_REQUIRED
             return state._replace(
                 phase=ENABLED if done else state.phase, private=progress._replace(answers=progress.answers + 1)

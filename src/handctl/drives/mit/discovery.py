@@ -1,8 +1,8 @@
 """Discovery of Damiao motors: read register MST_ID from each node number, then the other registers.
 
 Register traffic makes no torque. Replies use the identifiers of the feedback, hence no request is
-sent while another host drives motors (``other_host_frames``). CubeMars motors have no registers, and cannot
-be discovered without a command. Source: Damiao DM-J4310-2EC manual, register table.
+sent while another host drives motors (``other_host_frames``). CubeMars motors have no registers,
+and cannot be discovered without a command. Source: Damiao DM-J4310-2EC manual, register table.
 """
 
 import struct
@@ -28,7 +28,7 @@ CAN_BR = 35
 _INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE_VERSION, SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR}
 _DETAILS = (SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
 FIRST_FD_BIT_RATE = 5
-"""Smallest value of register CAN_BR that stands for CAN FD."""
+"""Value of register CAN_BR from which the bus is CAN FD."""
 _RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VMAX), ("torque_max_N_m", codec.TMAX))
 """Register of each key in a ``[[motor]]`` section."""
 _STATES = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
@@ -52,7 +52,7 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def motors_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the motors that answered with their MST_ID on that identifier."""
+    """Return the motors that reported their MST_ID in a frame with this identifier."""
     replies: dict[int, dict[int, list[bytes]]] = {}
     for frame in received:
         if (

@@ -1,9 +1,9 @@
 """Damiao motor in MIT mode: from silence through its registers to torque, and back to disabled.
 
-A motor answers requests and sends no other frame. Hence one request per tick is sent, and one
-register request is open at a time. Position, velocity, and torque are NaN until the ranges of the
-motor are known. Angles beyond PMAX are not unwrapped, because the travel of a hand is far smaller.
-Only feedback with state 0 or with an error proves that the motor is disabled.
+A motor answers requests and sends no other frame. Therefore one request is sent in each tick, and
+one register request is open at a time. Position, velocity, and torque are NaN until the ranges of
+the motor are known. Angles beyond PMAX are not unwrapped, because the travel of a hand is far
+smaller. Only feedback with state 0 or with an error proves that the motor is disabled.
 """
 
 import math
@@ -289,7 +289,7 @@ class MitDrive:
             and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
         ):
             return state._replace(phase=SILENT, private=MitProgress()), (self._refresh(),)
-        # The watchdog of this motor is fed by commands, also while disabled.
+        # Commands restart the watchdog of this motor, also while it is disabled.
         fed = state.error_text == FIRES_DISABLED
         clear = (self._frame(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
@@ -301,7 +301,7 @@ class MitDrive:
             return enabling, (self._frame(codec.special_command(codec.ENABLE)),)
         if fed and not clear:
             return state._replace(private=progress), self.cut()
-        # Whether the clear command has an answer is not documented, hence feedback is requested as well.
+        # It is not documented if the clear command has an answer, so feedback is requested as well.
         return state._replace(private=progress), (*clear, self._refresh())
 
     def _disable(self, state: DriveState, progress: MitProgress, t_ns: int) -> DriveState:

@@ -1,8 +1,8 @@
 """Damiao motor in position-velocity, velocity or force-position mode.
 
 Register CTRL_MODE selects the mode. Ramps (ACC, DEC) and largest speed (MAX_SPD) are written and
-read back before arming, MAX_SPD again while enabled. These values stay until the motor loses power.
-Source: Damiao DM-J4310-2EC manual.
+read back before arming, MAX_SPD again while enabled. The motor keeps these values until it loses
+power. Source: Damiao DM-J4310-2EC manual.
 
 TMAX is required as in MIT mode. The manual does not state if TMAX limits the torque in the other
 modes. In force-position mode each command has a current limit.

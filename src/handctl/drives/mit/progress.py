@@ -9,7 +9,7 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-# Error codes of the host, above the nibbles of the drive.
+# Error codes that handctl adds, above the state nibbles of the motor.
 #
 # In order: disabled without a command, a wrong register value, an unknown state, enabled by another
 # host.
@@ -29,7 +29,7 @@ FIRES_DISABLED = "its watchdog also fires while it is disabled"
 CLEAR_TRIES = 6
 """Number of feedback frames that may still show an error after the command to clear it.
 
-Two frames come per tick.
+The motor sends two frames per tick then.
 """
 SILENCE_NS = 250_000_000
 """Time without a frame after which the motor may have lost power and its register values [ns]."""
@@ -89,7 +89,7 @@ def _state_when_disabled(state: DriveState, progress: MitProgress) -> DriveState
     """Return the state after the motor reported disabled."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
-        # Feedback from before the disable command proves nothing.
+        # Feedback that was sent before the disable command does not show its effect.
         if state.feedback_t_ns < progress.disabling_ns:
             return state._replace(private=progress)
         return state._replace(phase=FAULT if state.error else READY, private=off)
@@ -121,7 +121,8 @@ def _state_after_error(state: DriveState, progress: MitProgress, nibble: int) ->
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     idle = not (progress.enable_sent or progress.enabled_by_other or progress.disabling)
     if nibble == WATCHDOG_FIRED and idle and state.phase in (CONFIGURING, READY):
-        # Register requests do not feed the watchdog. The motor makes no torque, and needs no operator.
+        # Register requests do not restart the watchdog. The motor makes no torque, so no operator
+        # is needed.
         return state._replace(error_text=FIRES_DISABLED, private=progress._replace(clearing=CLEAR_TRIES))
     if nibble in codec.ERRORS:
         off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))

@@ -5,12 +5,12 @@ from handctl.drives.mit import codec
 from handctl.drives.readback import Cursor
 
 SERIAL_NUMBER_TRIES = 3
-"""Number of requests for the serial number. Not every motor has this register."""
+"""Number of requests for the serial number. Not every motor has a register with it."""
 WRITE_TRIES = 1
-"""Number of writes per register. A register that is still wrong after one write refuses the value."""
+"""Number of writes per register. A motor refuses a value if the register is still wrong after one write."""
 
 RequiredRegisters = tuple[tuple[int, float], ...]
-"""(register, value) in the order of the requests."""
+"""Registers with required values, (register, value), in the order of the requests."""
 
 
 def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterReply) -> tuple[Cursor, str]:
@@ -57,7 +57,8 @@ def next_serial_request(cursor: Cursor, node_id: int, t_ns: int) -> tuple[Cursor
     """Return the request for the serial number, which follows the read-back of all registers.
 
     Returns:
-        the new cursor, the payload on BROADCAST_ID (empty while an answer is awaited), and True if the
+        the new cursor, the payload on BROADCAST_ID (empty while an answer is awaited), and True if
+        the
         motor does not answer.
     """
     cursor, send, unanswered = readback.request_setting(cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES)

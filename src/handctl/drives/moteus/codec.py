@@ -77,7 +77,7 @@ PREPARING_MODES = (2, 3, 4)
 POSITION = 10
 """Mode of torque commands: position mode with gains 0."""
 TIMED_OUT = 11
-"""Mode after the watchdog. Only the stop command leaves it."""
+"""Mode after the watchdog. The drive leaves this mode only by the stop command."""
 LIMIT_CODES = range(96, 128)
 """Fault codes in position mode that name the limit in effect. These codes are not errors."""
 FAULTS = {
@@ -121,7 +121,7 @@ QUERY = bytes((READ | 1, MODE, READ | 2, TEMPERATURE, READ | FLOAT << 2 | 3, 0x0
 FEEDBACK_LENGTH = 24
 """Length of the feedback [bytes]."""
 STATUS_HEADERS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"))
-"""Position and content of those head bytes that are part of the feedback's status."""
+"""Position and value of the bytes that are the same in every feedback of an enabled drive without a fault."""
 
 
 def request_id(node_id: int, source: int = 0) -> int:

@@ -316,7 +316,7 @@ class MoteusDrive:
         if channel.awaits(t_ns):
             channel, data = channel.poll()
         elif t_ns >= progress.check.due_ns:
-            # A request without an answer may have left its text on the way.
+            # The text of a request without an answer may still arrive.
             channel = items.Channel() if progress.check.waiting else channel
             check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
             progress = progress._replace(check=check)
@@ -350,7 +350,7 @@ class MoteusDrive:
         channel = progress.channel
         data = b""
         if send:
-            # A request without an answer may have left its text on the way.
+            # The text of a request without an answer may still arrive.
             channel = items.Channel() if progress.cursor.waiting else channel
             channel, data = self._setting_request(channel, setting, cursor.writing, t_ns)
         updated = state._replace(error_text="", private=progress._replace(cursor=cursor, channel=channel))

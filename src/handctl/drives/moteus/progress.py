@@ -10,7 +10,7 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-# Error codes of the host, above the fault codes of the drive.
+# Error codes that handctl adds, above the fault codes of the drive.
 DROPPED_OUT = 0x100
 MISMATCH = 0x101
 ENABLED_BY_OTHERS = 0x102
@@ -92,10 +92,13 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def _state_when_stopped(state: DriveState, progress: MoteusProgress, was_preparing: bool) -> DriveState:
-    """Return the state after the drive reported stopped. If it was preparing or enabled, it has restarted."""
+    """Return the state after the drive reported stopped.
+
+    If this host was enabling the drive, or had enabled it, the drive has restarted.
+    """
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
-        # Feedback from before the stop command proves nothing.
+        # Feedback that was sent before the stop command does not show its effect.
         if state.feedback_t_ns < progress.disabling_ns:
             return state
         return state._replace(phase=FAULT if state.error else READY, private=off)

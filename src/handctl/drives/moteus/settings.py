@@ -1,9 +1,9 @@
 """Settings of a moteus controller: read, written if wrong, and read again.
 
-Torque limit and watchdog are command registers. Every torque command sets both. Before the first
-torque, a request that does not move the motor stores them. The other settings are configuration
-items of the diagnostic text channel. ``conf set`` changes the working memory alone, and no request
-writes the flash.
+Torque limit and watchdog are command registers. Every torque command sets both registers. Before
+the first torque, a request that does not move the motor sets them. The other settings are
+configuration items of the diagnostic text channel. ``conf set`` changes the working memory alone,
+and no request writes the flash.
 
 A frame with text may be lost, and an answer may come late. Therefore each exchange starts with an
 empty channel: if a request got no answer, the host reads until no text is left.
@@ -19,9 +19,9 @@ from handctl.drives.readback import REQUEST_TIMEOUT_NS
 WRITE_TRIES = 3
 """Number of writes per setting. The drive does not confirm a write, and a possibly lost write is repeated."""
 UNANSWERED_READS = 3
-"""Number of reads without an answer after which a request counts as unanswered, at any control rate."""
+"""Number of reads without text after which a request counts as unanswered, at any control rate."""
 LONGEST_LINE = 128
-"""Length of text without an end of line from which the text counts as an answer to another host [bytes]."""
+"""Length of text without an end of line above which the text belongs to another host [bytes]."""
 
 
 class MoteusSetting(NamedTuple):
@@ -47,14 +47,16 @@ CONFIGURATION = (
     MoteusSetting("servopos.position_min", math.nan),
     # Torque limits do not act in this mode.
     MoteusSetting("servo.fixed_voltage_mode", 0.0),
-    # After the watchdog: stopped. By default the drive would damp, or hold its position.
+    # After a timeout of the watchdog the drive stops. By default it would damp, or hold its
+    # position.
     MoteusSetting("servo.timeout_mode", 0.0),
     MoteusSetting("servopos.position_max", math.nan),
 )
 """Configuration items, read again while the drive is enabled.
 
-Torque limit and watchdog need no repeated read-back, because every command carries both. A restart
-is found by the first item whose default is wrong. Of two items in a row one has a wrong default.
+Torque limit and watchdog need no repeated read-back, because every command carries both. After a
+restart the items have their defaults. One of two consecutive items has a default that differs from
+the required value, so a restart is found by at most two reads.
 """
 
 

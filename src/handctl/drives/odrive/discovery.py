@@ -23,7 +23,7 @@ from handctl.drives.odrive import firmware_05 as odrive_05
 ADDRESS = 0x06
 BROADCAST = 0x3F
 MIN_HEARTBEATS = 3
-"""Number of frames with the layout of a heartbeat to prove an ODrive.
+"""Number of frames with the layout of a heartbeat from which a node counts as an ODrive.
 
 A single frame may be another message.
 """
@@ -174,7 +174,7 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def ping(drive: DiscoveredNode) -> Frame:
-    """Return the remote frame that requests a message, one the drive rarely sends on its own."""
+    """Return the remote frame that requests a message which the drive rarely sends by itself."""
     return _remote_request(drive, _ping_command(drive))
 
 
@@ -186,8 +186,8 @@ def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
 def _ping_command(drive: DiscoveredNode) -> int:
     """Return the command number that ``ping`` requests.
 
-    Firmware 0.6 is asked for its version. Firmware 0.5 has no version, and is asked for bus voltage
-    and current.
+    Firmware 0.6 reports its version. Firmware 0.5 has no version message, so bus voltage and
+    current are requested.
     """
     return BUS_VOLTAGE if drive.options.get("firmware") == "0.5" else codec.GET_VERSION
 

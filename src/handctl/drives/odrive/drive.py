@@ -3,8 +3,8 @@
 A remote frame in every tick requests the position, so that position and command have the same age.
 With the option ``encoder_period_ms`` the host uses the messages that the drive sends periodically
 instead. The commands of CANSimple cannot read back mode and limits, and cannot set the watchdog.
-SDO access to the endpoints of ``settings`` does both. Only a heartbeat reports the state of the
-drive.
+Both are possible by SDO access to the endpoints of ``settings``. Only a heartbeat reports the state
+of the drive.
 """
 
 import math
@@ -159,7 +159,7 @@ class OdriveDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return the protections of the drive not verifiable by handctl, one line each."""
+        """Return the protections of the drive that handctl cannot verify, one line each."""
         return endpoints.unverified_protections(self.settings, self.firmware_05)
 
     @property
@@ -354,9 +354,9 @@ class OdriveDrive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the request that reads or writes the next endpoint.
 
-        The position of a drive that gave feedback before is requested as well. Its settings are
-        verified once more before the enable command, and a silent drive is a fault while other
-        drives are enabled.
+        The position of a drive with earlier feedback is requested as well. Settings are verified
+        again before an enable command. Meanwhile the position is requested, because a silent drive
+        is a fault while other drives are enabled.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         updated = state._replace(private=progress._replace(cursor=cursor))

@@ -1,4 +1,4 @@
-"""ODrive in position or velocity control, inputs passed through.
+"""ODrive in position or velocity control with the input mode passthrough.
 
 The host sends a ramp, so the drive needs no trajectory of its own. Set_Limits contains the largest
 speed. No answer of CANSimple confirms mode and limits, so both precede each enable command. The

@@ -1,4 +1,4 @@
-"""Progress of an ODrive between frames, and the effect of its heartbeat, the only report of its state."""
+"""Progress of an ODrive between frames, and the effect of its heartbeat, which is the only report of its state."""
 
 from typing import NamedTuple, cast
 
@@ -24,7 +24,8 @@ CAUSES_OF_BITS = {
 # Time between repeated requests, and between temperature requests [ns].
 REPEAT_NS = 20_000_000
 TEMPERATURE_NS = 200_000_000
-# Requests for the version, heartbeats that may still carry a cleared error, requests for the serial.
+# Number of requests for the version, of heartbeats that may still show a cleared error, and of
+# requests for the serial number.
 VERSION_TRIES = 10
 CLEAR_TRIES = 3
 SERIAL_NUMBER_TRIES = 3
@@ -42,8 +43,8 @@ class OdriveProgress(NamedTuple):
     Attributes:
         version: True if the protocol version is the supported one.
         serial: serial number, 0 if unknown.
-        serial_requests: number of requests for the serial number. ``SERIAL_NUMBER_TRIES`` means that the
-            drive has answered or that no more requests are sent.
+        serial_requests: number of requests for the serial number. ``SERIAL_NUMBER_TRIES`` means
+            that the drive has answered or that no more requests are sent.
         cursor: position in the list of endpoints to read back.
         configured: True if mode and limits were sent.
         axis: latest axis state.
@@ -224,5 +225,5 @@ def cause_of_error(error: int) -> Cause:
     if any(bit not in codec.ERRORS for bit in bits):
         return Cause.UNKNOWN
     causes = [CAUSES_OF_BITS.get(bit, Cause.OTHER) for bit in bits]
-    # A watchdog error is the cause of errors that follow it.
+    # If the watchdog fired, the other errors are its consequences.
     return next((cause for cause in causes if cause == Cause.WATCHDOG), causes[0])

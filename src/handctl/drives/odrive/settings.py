@@ -40,7 +40,8 @@ def pop_settings(
         torque: torque limit at the motor's shaft [N m].
 
     Raises:
-        ConfigError: an endpoint without a valid number, or one of the two watchdog endpoints missing.
+        ConfigError: an endpoint without a valid number, or one of the two watchdog endpoints
+            missing.
     """
     values = (b"\1", codec.encode_floats(watchdog_s), codec.encode_floats(torque), codec.encode_floats(-torque))
     settings = []
@@ -60,7 +61,7 @@ def pop_settings(
 
 
 def unverified_protections(settings: tuple[Setting, ...], firmware_05: bool) -> tuple[str, ...]:
-    """Return the protections of the drive not verifiable by handctl, one line each."""
+    """Return the protections of the drive that handctl cannot verify, one line each."""
     names = {setting.name for setting in settings}
     guards = []
     if "watchdog_timeout" not in names:

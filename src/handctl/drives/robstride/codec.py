@@ -83,7 +83,7 @@ FAULTS = {
 }
 """Fault text by bit of the error code.
 
-Bits 0 to 5 come from the feedback's identifier, bits from 8 on from the fault report.
+Bits 0 to 5 come from the feedback's identifier. Bits from 8 on come from the fault report.
 """
 REPORT_SHIFT = 8
 """Bit number of the error code that stands for bit 0 of the fault report."""
@@ -95,7 +95,7 @@ CAN_TIMEOUT = 0x7028
 OPERATION = 0
 """Value of RUN_MODE for control commands."""
 TIMEOUT_UNITS_PER_MS = 20
-"""Watchdog counts per millisecond: 20000 counts are a second."""
+"""Watchdog counts per millisecond. 20000 counts are one second."""
 POSITION_RANGE_RAD = 4.0 * math.pi
 """Full scale of the position [rad]."""
 MAX_COUNT = 0xFFFF

@@ -3,8 +3,8 @@
 A motor answers requests and sends fault reports on its own. Mode and faults are in the identifier
 of the feedback. Therefore feedback of a running motor without a fault has one identifier. Feedback
 with any other identifier is processed by the state machine here. A stop command without data stops
-and does not clear faults. The stop command also requests feedback while the motor is disabled,
-because no other request is answered by feedback.
+the motor, and does not clear faults. The stop command also requests feedback while the motor is
+disabled, because no other request is answered by feedback.
 """
 
 from dataclasses import dataclass, field
@@ -131,8 +131,8 @@ class RobstrideDrive:
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of this host's requests, and of commands with zero torque.
 
-        Commands with other torques have 65536 identifiers and are left out. A second host is
-        detected by its requests.
+        Commands have a different identifier for each torque, 65536 in all. The others are left out,
+        because a second host is also detected by its requests.
         """
         requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUESTS}
         return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})

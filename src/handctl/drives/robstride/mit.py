@@ -1,7 +1,8 @@
 """RobStride motor in its MIT mode: 11-bit identifiers, the command frame of MIT motors, and no registers.
 
 Command and special commands: identifier is the motor's number, layout as in ``mit.codec``. A
-special command has a second code in byte 6, FF in the commands used here, except the read of faults:
+special command has a second code in byte 6, FF in the commands used here, except the read of
+faults:
 
     bytes 0..5          byte 6   byte 7   effect
     FF FF FF FF FF FF   FF       FC       enable
@@ -18,8 +19,8 @@ the same identifier:
     faults  motor 8   bits 0..7, 8..15, 16..23 in bytes 1..3      0 in bytes 4..7
 
 As with CubeMars motors, the feedback does not report enabled or disabled. Watchdog and torque limit
-can be set and read in the private protocol only. A read of faults is a motion command to another
-make of MIT motor, hence it is sent to disabled motors only, and no discovery uses it.
+can be set and read in the private protocol only. MIT motors of other makers take a read of faults
+as a motion command. Therefore it is sent to disabled motors only, and discovery does not use it.
 
 Source: docs/facts/robstride.md, section MIT mode.
 """
@@ -44,7 +45,7 @@ MODELS = {
     name: mit.Ranges(POSITION_RANGE, codec.MODELS[name].velocity, codec.MODELS[name].torque)
     for name in ("rs00", "rs01", "rs05")
 }
-"""Full scale of those models for which all sources state the same ranges in MIT mode."""
+"""Full scale of the models for which all sources state equal ranges in MIT mode."""
 HOST_OFFSET = 0x10
 """Default difference between the host's number and the motor's number on a bus with several motors."""
 FACTORY_HOST = 0
@@ -63,7 +64,7 @@ UNVERIFIED_PROTECTIONS = (
     f"{MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque",
     "ranges cannot be read back; motor_type must be right",
 )
-"""Guards that handctl cannot verify, one line each."""
+"""Protections of the motor that handctl cannot verify, one line each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +131,7 @@ class RobstrideMitDrive(CubemarsDrive):
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return the guards that handctl cannot verify, one line each."""
+        """Return the protections that handctl cannot verify, one line each."""
         return UNVERIFIED_PROTECTIONS
 
     def steady_status(self, state: DriveState) -> int:

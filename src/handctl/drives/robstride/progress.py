@@ -9,7 +9,8 @@ from handctl.drives.robstride import codec
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-# Error codes of the host, of the two bits between the faults of the feedback and those of the fault report.
+# Error codes that handctl adds. They are the two bits between the faults of the feedback and those
+# of the fault report.
 DROPPED_OUT = 1 << 6
 MISMATCH = 1 << 7
 ENABLED_BY_OTHERS = 3 << 6
@@ -77,7 +78,7 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Return the state after a fault. A motor in reset mode makes no torque, in any other mode it may."""
+    """Return the state after a fault. A motor in reset mode makes no torque. In any other mode it may make torque."""
     progress = progress_of(state)
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
@@ -91,7 +92,7 @@ def _state_when_stopped(state: DriveState, progress: RobstrideProgress) -> Drive
     """Return the state after the motor reported reset mode without a fault."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
-        # Feedback from before the stop command proves nothing.
+        # Feedback that was sent before the stop command does not show its effect.
         if state.feedback_t_ns < progress.disabling_ns:
             return state
         return state._replace(phase=FAULT if state.error else READY, private=off)

@@ -1,4 +1,4 @@
-"""Contract of the sensors of a hand: what controller, log and tools need of each protocol of load cells."""
+"""Contract of the sensors of a hand: functions that controller, log and tools use of each protocol of load cells."""
 
 from typing import Protocol
 
@@ -17,7 +17,8 @@ class Sensors(Protocol):
         channels: indices of the tendons or joints in each frame, in the hand's order.
         lengths: payload length of each frame [bytes].
         tension_frames: number of tension frames.
-        amplifiers: amplifiers that need a set-up, in the order of ``group_ranges``. Empty without one.
+        amplifiers: amplifiers that need a set-up, in the order of ``group_ranges``. Empty without
+            one.
     """
 
     @property
@@ -112,7 +113,7 @@ class Sensors(Protocol):
 
     @property
     def has_counter(self) -> bool:
-        """Return True if an answer names its SYNC."""
+        """Return True if an answer contains the counter of its SYNC."""
         ...
 
     def counter(self, k: int) -> int:

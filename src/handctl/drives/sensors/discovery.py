@@ -1,8 +1,8 @@
 """Discovery of the sensor node by its answers, which contain the low four bits of the SYNC counter.
 
-No motor of handctl obeys SYNC, but CANopen drives apply pending PDOs at SYNC. No SYNC is sent on a
-bus with a CANopen drive or an ODrive with node number 4, because their ``command_ids`` include the
-identifier of SYNC. Source: ``node``.
+SYNC does not move a motor that handctl has set up. Other CANopen drives apply pending PDOs at SYNC.
+No SYNC is sent on a bus with a CANopen drive or an ODrive with node number 4, because their
+``command_ids`` include the identifier of SYNC. Source: ``node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
@@ -13,7 +13,7 @@ SYNC = 0x080
 COUNTERS = (0x35, 0x3A)
 """Counters of the two SYNCs.
 
-The counters differ, so that a foreign frame is not mistaken for two answers.
+The counters differ, so that a frame of another device does not count as two answers.
 """
 # Bits of the counter and of a channel.
 HEADER_BITS = 4

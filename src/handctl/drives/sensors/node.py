@@ -11,7 +11,7 @@ the lowest bit:
     angle       1/4096 turn        -180 to 179.9 deg     base_id + 0x10, 0x11, ..
 
 The node samples at SYNC. Every frame of its answer contains the low four bits of the counter byte,
-so that a stale frame is not mistaken for a fresh one. Successive counters do not repeat with period
+so that a stale frame does not count as fresh. Successive counters do not repeat with period
 16, see ``sync_counters``. Angle frames follow every SYNC whose counter is a multiple of
 ``joint_decimation``.
 """
@@ -46,7 +46,7 @@ TENSION_MAX_N = TENSION_ZERO_N + MAX_CHANNEL_COUNT * TENSION_STEP_N
 """Tension at the largest count [N]. At count 0 and at the largest count the load cell is saturated."""
 LOW_MARGIN_N = 2.0
 """Distance from the lower end of the range to the threshold for a broken load cell [N]."""
-# Valid readings of a load cell without tension [N].
+# Smallest and largest valid reading of a load cell without tension [N].
 #
 # Below, noise reaches the end of the range, and a broken wire looks like a slack tendon. Above, the
 # range ends below ``tension_rail``.
@@ -62,7 +62,7 @@ JOINT_STEP_RAD = 2 * math.pi / 4096
 JOINT_ZERO = 2048
 """Count of angle 0."""
 ANY_TIME = -(1 << 62)
-"""Earliest arrival [ns] of an answer whose freshness does not depend on its arrival."""
+"""Earliest arrival of an answer if its counter decides whether it is fresh [ns]."""
 JOINT_FRAMES = 0x10
 """Offset from the first tension identifier to the first angle identifier."""
 
@@ -198,7 +198,7 @@ class SensorNode:
         return True
 
     def earliest_answer_ns(self, sync_ns: int) -> int:
-        """Return ``ANY_TIME``, because the counter of an answer names its SYNC."""
+        """Return ``ANY_TIME``, because the counter of an answer identifies its SYNC."""
         return ANY_TIME
 
     def answers(self, data: bytes, counter: int) -> bool:
@@ -214,7 +214,8 @@ class SensorNode:
     def tension_low(self) -> float:
         """Return the tared tension below which a load cell or its wire counts as broken [N].
 
-        The threshold is near the lower end of the range of the load cell, so far below zero that noise cannot reach it.
+        The threshold is near the lower end of the range of the load cell, so far below zero that
+        noise cannot reach it.
         """
         return TENSION_ZERO_N + LOW_MARGIN_N
 
@@ -287,10 +288,10 @@ def sync_counters(decimation: int) -> bytes:
 
     A counter of four bits that counts up has the same value 16 or 32 ticks later, so a frame of
     that age would seem fresh. These counters are pseudo-random instead. The low four bits of two
-    ticks less than ``DISTINCT_COUNTERS`` apart differ. At larger distances they are equal only by chance.
-    The counter modulo ``decimation`` equals the tick modulo ``decimation``, because the node sends
-    angle frames by this remainder. With a decimation of 8 or more, fewer than three values of the
-    four bits have the same remainder, so the bits of near ticks may be equal.
+    ticks less than ``DISTINCT_COUNTERS`` apart differ. At larger distances they are equal only by
+    chance. The counter modulo ``decimation`` equals the tick modulo ``decimation``, because the
+    node sends angle frames by this remainder. With a decimation of 8 or more, fewer than three
+    values of the four bits have the same remainder, so the bits of near ticks may be equal.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]

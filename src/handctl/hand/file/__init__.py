@@ -1,1 +1,1 @@
-"""Hand file: sections, quantities, checks, and messages."""
+"""Format of the hand file: sections, quantities, checks, and messages."""

@@ -28,7 +28,7 @@ LARGEST_RESIDUAL = 0.1
 ROUTING_SAMPLES = 11
 """Number of postures at which the routing of a digit with arms that depend on the angle is checked."""
 ROUNDING_DEG = 1e-6
-"""Rounding of angles converted from rad [deg]."""
+"""Tolerance for angles that were converted from rad [deg]."""
 KEYS_PER_LINK = (
     "link_com_m",
     "link_mass_kg",
@@ -42,23 +42,26 @@ KEYS_PER_LINK = (
 )
 """Keys of a digit with one value per link."""
 MESH_POSE_KEYS = ("link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
-"""Keys of a digit about the meshes in ``link_mesh``."""
+"""Keys of a digit for the meshes in ``link_mesh``."""
 PALM_POSE_KEYS = ("palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
-"""Keys of the section ``mount`` about ``palm_mesh``."""
+"""Keys of the section ``mount`` for ``palm_mesh``."""
 OPTIONAL_KEYS_PER_LINK = ("joint_axis", "joint_rpy_deg", "joint_rated_torque_N_m", "link_mesh", *MESH_POSE_KEYS)
-"""The same, where the file has the key."""
+"""Keys of a digit with one value per link if the file has the key."""
 UNIT_TOLERANCE = 1e-3
-"""Largest deviation of an axis from length 1, and of inertias from the triangle inequality, by rounding."""
+"""Tolerance for rounding, for the length 1 of an axis and the triangle inequality of inertias."""
 STRENGTH_KEY = "rated_breaking_force_N"
-"""Key of the strength of a tendon."""
+"""Key of a tendon's breaking force."""
 LIMIT_KEYS = ("tension_floor_N", "tension_max_N", "tension_trip_N", "drive_limit_N", STRENGTH_KEY)
-"""Tension limits in ascending order."""
+"""Keys of a tendon's tension limits in ascending order."""
 MIT_REPLY_OFFSET = 0x10
-"""Usual distance of an MIT drive's reply from its command. Source: Damiao convention, MST_ID = ESC_ID + 0x10."""
+"""Usual identifier of an MIT drive's reply minus that of its command. Source: Damiao, MST_ID = ESC_ID + 0x10."""
 MIT_REGISTER_ID = 0x7FF
 """Identifier of all MIT drives' register frames. Source: Damiao manual."""
 CANOPEN_SERVICES = (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)
-"""Emergency, TPDO1, RPDO1, SDO in both directions, heartbeat: plus the node number. Source: CiA 301."""
+"""Identifiers of emergency, TPDO1, RPDO1, SDO in both directions and heartbeat, without the node number that is added.
+
+Source: CiA 301.
+"""
 EXTENDED = 1 << 31
 """Mark of a 29-bit identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
 STANDARD_IDS = 0x800
@@ -69,16 +72,16 @@ SHARED_IDS = (
     ("cia402", 0x000, "CANopen's NMT"),
     ("cia402", 0x77F, "this host's heartbeat to CiA 402 drives"),
 )
-"""(protocol, identifier shared by all its motors on a bus, name of the frame)."""
+"""Identifiers that all motors of a protocol share on a bus: protocol, identifier, name of the frame."""
 MIN_CONDITION = 1e-6
-"""Smallest ratio of singular values that counts as full rank."""
+"""Ratio of the smallest to the largest singular value from which a matrix has full rank."""
 
 
 Mistakes = Iterator[Mistake]
 
 
 def check_hand(hand: Hand) -> Mistakes:
-    """Yield the mistakes of a hand as a whole.
+    """Yield the mistakes that concern several sections of a hand.
 
     A check that needs valid references or shapes runs only if those checks found nothing.
 
@@ -112,7 +115,10 @@ def check_names(hand: Hand) -> Mistakes:
 
 
 def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistakes:
-    """Yield mistakes within one section. Sections that are valid by themselves can be checked without the others."""
+    """Yield mistakes within one section.
+
+    A section that is valid by itself can be checked without the other sections.
+    """
     for digit in digits:
         yield from _check_digit(digit)
     for tendon in tendons:
@@ -121,7 +127,7 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
 
 
 def _check_unique(names: Iterable[str], where: str) -> Mistakes:
-    """Refuse a repeated name. The name replaces {} in the key path."""
+    """Refuse a repeated name. The repeated name replaces {} in the key path."""
     seen: set[str] = set()
     for name in names:
         if name in seen:
@@ -173,7 +179,7 @@ def _check_body(digit: Digit, i: int, where: str) -> Mistakes:
     """Check centre of mass and inertia of link i against its size."""
     com = digit.link_com_m[i]
     length = digit.link_length_m[i]
-    # No mass lies farther from the centre of mass than the link's length or width.
+    # No part of a link is farther from its centre of mass than the link's length or width.
     size = max(length, 2 * digit.link_radius_m)
     if isinstance(com, float):
         if com > length:
@@ -255,7 +261,8 @@ def _check_mounts(hand: Hand) -> Mistakes:
             if carrier in hand.digit_names:
                 what = f"{digit.name} does not follow {carrier}"
                 yield Mistake(what, where, "each digit right after the one that carries it, or after others on it")
-        # The digit before, the digit that carries it, and so on: each of them may carry the next.
+        # The next digit may be carried by the digit before it, or by one of the carriers of that
+        # digit.
         line = [*line[: line.index(carrier) + 1 if carrier in line else 0], digit.name]
 
 
@@ -350,7 +357,7 @@ def _check_limits(tendon: Tendon) -> Mistakes:
     for below, key, above in zip((None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False):
         value = values[key]
         next_value = values[above]
-        # The limit below was too high, and is reported: this one is not too low as well.
+        # The limit below is too high and was reported, so this limit is not reported as too low.
         too_low = below is not None and value <= values[below] and not too_high
         bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
         if above == STRENGTH_KEY or strength < next_value:
@@ -367,7 +374,8 @@ def _check_limits(tendon: Tendon) -> Mistakes:
 def _check_pretension(tendon: Tendon) -> Mistakes:
     """Check that no tendon of a spool pair exceeds a limit of the net tension, and that the pair has no floor.
 
-    With the net tension u and the pretension p the pulling tendon bears the larger of p + u / 2 and u.
+    With the net tension u and the pretension p, the tendon that pulls has the tension max(p + u /
+    2, u).
     """
     pretension = tendon.pretension_N
     if pretension is None:
@@ -382,7 +390,7 @@ def _check_pretension(tendon: Tendon) -> Mistakes:
 
 
 def _check_pairs(hand: Hand, digit: Digit) -> Mistakes:
-    """Check the spool pairs of a digit: no single tendon beside them, one per coordinate, no load cell, no spring."""
+    """Check the spool pairs of a digit: no single tendons, one pair per coordinate, no load cell, no spring."""
     tendons = hand.tendon[hand.digit_tendons[digit.name]]
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
     if not pairs:
@@ -440,14 +448,14 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> Mistakes:
 
 
 def _check_stream(stream: StreamLimits) -> Mistakes:
-    """Check that a hand holds before it relaxes."""
+    """Check that a hand without targets holds before it relaxes."""
     if stream.relax_after_ms <= stream.hold_after_ms:
         right = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
         yield Mistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", right)
 
 
 def _check_identifiers(hand: Hand) -> Mistakes:
-    """Check that no identifier has two meanings on one bus."""
+    """Check that no two frames on a bus have one identifier."""
     owner: dict[tuple[str, object], str] = {}
     wrong: set[str] = set()
     for motor in hand.motor:
@@ -464,7 +472,7 @@ def _check_identifiers(hand: Hand) -> Mistakes:
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     """Yield (bus, identifier, key path) of all frames of a hand.
 
-    A motor with an unknown protocol yields its node number.
+    For a motor with an unknown protocol, the node number is used as identifier.
     """
     for protocol, identifier, what in SHARED_IDS:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:

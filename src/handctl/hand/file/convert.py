@@ -1,7 +1,7 @@
 """Conversion of a hand file of schema 1 to schema 2. Repeated values are written once, and comments are kept.
 
-The text of each value stays as it is, so that ``0x1A0`` and ``6.384e-3`` are found again. A comment
-goes where its value goes.
+The text of each value does not change, for example ``0x1A0`` or ``6.384e-3``. A comment stays with
+its value.
 """
 
 import re
@@ -25,16 +25,16 @@ from handctl.hand.file.templates import (
 from handctl.hand.file.toml_text import toml_text
 
 MAX_LINE_LENGTH = 120
-"""Longest line of a table within a line."""
+"""Longest line of an inline table."""
 INDIVIDUAL_KEYS = {"digit": {"name", "mount_position_m"}, "tendon": {"name"}, "motor": {"name", "node_id"}}
-"""Keys of a section that no default and no template has."""
+"""Keys of a section that cannot be in a default or a template."""
 MIN_SECTIONS_TO_SHARE = 2
 """Number of sections from which a common value becomes a default or a template."""
 
 
 @dataclass
 class Entry:
-    """A key with its value as text and the comment at the end of its line.
+    """A line of the file: a key with its value and the comment behind it, or a comment.
 
     Attributes:
         key: key, empty for a line that is only a comment or blank.
@@ -61,7 +61,7 @@ class TomlTable:
 
     Attributes:
         entries: keys and comments in order.
-        before: comment lines before the header of the table.
+        before: comment lines in front of the table's header.
         comment: comment behind the header.
         held: tendons and motors within a digit, by kind and short name.
     """
@@ -148,7 +148,7 @@ def _parse_entry(key: str, item: Item) -> list[Entry]:
 
 
 def _trailing_comments(block: TomlTable) -> list[str]:
-    """Remove the comment lines at the end of a table, and return them. They belong to the next table."""
+    """Remove the comment lines at the end of a table, which belong to the next table, and return them."""
     trailing: list[str] = []
     while len(block.entries) > 1 and not block.entries[-1].key:
         trailing.insert(0, block.entries.pop().text)
@@ -167,7 +167,7 @@ def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[Entry]:
 
 
 def _take_shared_values(blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]) -> list[Entry]:
-    """Remove the values that all blocks have in common, and return them with all their comments."""
+    """Remove the values that all blocks have in common, and return these values with all their comments."""
     first = blocks[0].values()
     others = [block.values() for block in blocks[1:]]
     keys = [
@@ -190,7 +190,7 @@ def _are_equal(one: Any, other: Any) -> bool:
 
 
 def _shorten_lists_per_link(block: TomlTable) -> None:
-    """Write one number for a list of equal numbers per link."""
+    """Replace each list of equal numbers per link by one number."""
     for entry in block.entries:
         values = entry.value
         if entry.key not in KEYS_ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
@@ -202,7 +202,7 @@ def _shorten_lists_per_link(block: TomlTable) -> None:
 
 
 def _shorten_sensor_node(others: Sequence[tuple[str, TomlTable]], sections: dict[str, list[TomlTable]]) -> None:
-    """Write all tendons, and all joints, as one word."""
+    """Replace the list of all tendons, and the list of all joints, by ``"all"``."""
     digits = [block.values() for block in sections["digit"]]
     names = {
         "tendons": [block.values().get("name") for block in sections["tendon"]],
@@ -227,7 +227,7 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
     if [id(block) for *_, block in sorted(moved, key=lambda row: list(digits.values()).index(row[0]))] != [
         id(block) for block in sections[kind]
     ]:
-        return  # the order would change
+        return  # this would change the order of tendons or motors
     comments: list[str] = []
     if sections[kind]:
         comments, sections[kind][0].before = sections[kind][0].before, []
@@ -249,7 +249,7 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
 
 
 def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
-    """Remove the values that digits of the same links have in common, and return them as templates."""
+    """Remove the values that digits with equal links have in common, and return these values as templates."""
     groups: dict[str, list[TomlTable]] = {}
     for block in digits:
         groups.setdefault(str(block.values().get("link_length_m")), []).append(block)
@@ -259,8 +259,8 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
             continue
         template = TomlTable(_take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"]))
         for kind in DIGIT_KINDS:
-            # Entries of a template come before those of its digits. After the first that the digits do not share,
-            # a further one would change the order.
+            # Entries of a template come before those of its digits. Only the entries before the
+            # first difference are moved, because the order must not change.
             for short in group[0].held[kind]:
                 if not all(short in block.held[kind] for block in group):
                     break
@@ -299,7 +299,7 @@ def _header_comment(block: TomlTable) -> str:
 
 
 def _table_lines(block: TomlTable, header: str) -> list[str]:
-    """Return the lines of a table, and of the tendons and motors that it holds."""
+    """Return the lines of a table, and of the tendons and motors in it."""
     lines = [entry.line() for entry in block.entries]
     tables: list[str] = []
     for kind, held in block.held.items():
@@ -321,5 +321,5 @@ def _table_lines(block: TomlTable, header: str) -> list[str]:
 
 
 def _inline_table(table: dict[str, Any]) -> str:
-    """Return a table within a line."""
+    """Return an inline table."""
     return toml_text({"x": [{"x": table}]}).split("x = ", 1)[1].strip()

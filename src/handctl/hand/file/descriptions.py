@@ -1,7 +1,8 @@
-"""Descriptions of the keys of files, which are the docstrings after the fields of their models.
+"""Descriptions of the keys of files. They are the docstrings after the fields of the models.
 
-pydantic can store them in the fields while it builds a model (``use_attribute_docstrings``). It then parses the source
-of every model in every process. Here the source is parsed when a description is needed.
+pydantic can store them in the fields while it builds a model (``use_attribute_docstrings``). It
+then parses the source of every model in every process. Here the source is parsed when a description
+is needed.
 """
 
 import ast

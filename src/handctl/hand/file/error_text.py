@@ -31,7 +31,7 @@ class Mistake(NamedTuple):
 
 
 SECTION_PATTERN = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
-"""Key path within one of several sections: kind, name, and the rest."""
+"""Pattern of the key path of a named section: kind, name, and the rest of the path."""
 EXPECTED_TYPES = {
     "tuple_type": "a list",
     "dict_type": "a table",
@@ -39,13 +39,14 @@ EXPECTED_TYPES = {
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }
-"""Valid values for pydantic's structural errors, in TOML's terms. All other errors carry ``right``."""
+"""Valid values for pydantic's structural errors, in the terms of TOML. All other errors contain ``right``."""
 
 
 def validation_mistakes(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any]) -> list[Mistake]:
     """Return a mistake for each validation error.
 
-    Unknown keys come first. A misspelt key is also a missing key, and the spelling is the cause.
+    Unknown keys come first. A misspelt key is reported both as unknown and as missing, and the
+    spelling is the cause.
 
     Args:
         error: error raised by pydantic.
@@ -79,7 +80,7 @@ WITHIN_DIGITS = ("tendon", "motor")
 
 
 def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel]) -> str:
-    """Return what a missing key stands for: the form of a section, and the first sentence of the description."""
+    """Return the expected text for a missing key: the form of a section, and the first sentence of the description."""
     field = _field_of_key(location, model)
     if field is None:
         return "a value"
@@ -94,7 +95,7 @@ def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel
 
 
 class _Field(NamedTuple):
-    """Field of a model, by the name of its attribute."""
+    """Name and field of a model's attribute."""
 
     model: type[BaseModel]
     name: str
@@ -135,7 +136,8 @@ def _unknown_key_mistake(location: Sequence[str | int], model: type[BaseModel], 
 def with_paths_of_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mistake]:
     """Return mistakes of resolved content with the key paths of the file.
 
-    A value of a default or template stands for many values. Its first mistake stands for all.
+    A value of a default or template is used in many sections. Only the first mistake of such a
+    value is returned.
 
     Args:
         mistakes: mistakes with key paths of the resolved content.
@@ -211,7 +213,7 @@ def _valid_keys_at(model: type[BaseModel], location: Sequence[str | int]) -> lis
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    """Return the models inside an annotation such as ``tuple[Digit, ...]``."""
+    """Return the models that an annotation such as ``tuple[Digit, ...]`` contains."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in getattr(annotation, "__args__", ()) for model in _models_in(part)]

@@ -1,4 +1,4 @@
-"""Text of a new hand file from the digits of a robot description, with ``"TODO"`` for each value that it lacks."""
+"""Text of a new hand file from the digits of a robot description, with ``"TODO"`` for each missing value."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -19,9 +19,9 @@ from handctl.hand.link_bodies import rpy_of
 SMALLEST_ARM_M = 1e-4
 """Smallest moment arm of a tendon [m]."""
 LARGEST_ARM_M = 0.05
-"""Largest moment arm. The coefficients of other fixed tendons of MJCF are no lengths [m]."""
+"""Largest moment arm. Coefficients of fixed tendons of MJCF that are not in this range are not lengths."""
 ROUNDING = 1e-9
-"""Largest deviation by rounding of an axis or a rotation."""
+"""Tolerance for rounding in an axis or a rotation."""
 DECIMALS = 12
 """Decimals of a length, a mass or an inertia in SI units."""
 CHOSEN_KEYS = {
@@ -36,7 +36,7 @@ CHOSEN_KEYS = {
     "position_range_rad",
     "velocity_range_rad_s",
 }
-"""Keys whose value is chosen and set, not measured."""
+"""Keys whose value is chosen by the user and not measured."""
 MISSING_ARMS_COMMENT = (
     f"{UNMEASURED} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
 )
@@ -49,11 +49,12 @@ Z_AXIS = (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class TendonAnswers:
-    """Answers about what a robot description lacks. None marks a value as missing in the file.
+    """Answers to questions about values that a robot description does not contain. None writes ``"TODO"`` for a value.
 
     Attributes:
         name: name of the hand.
-        tendons: ``one`` per digit, or one ``each`` joint. Without an answer the file has one for each joint.
+        tendons: ``one`` per digit, or one ``each`` joint. Without an answer the file has one tendon
+            for each joint.
         pulley_mm: moment arm of the tendons at the joints [mm].
         spool_mm: radius of the spools [mm].
         tension_N: largest commanded tension [N].
@@ -114,9 +115,10 @@ class _Line:
 
 
 def usable_tendons(described: Described) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the tendons of a description that a hand file can have, and a note for each other one.
+    """Return the tendons of a description that a hand file can describe, and a note for each other tendon.
 
-    Each has ``digit``, ``name``, ``motor``, ``arms`` by the short names of the joints, and ``tension_max``.
+    Each has ``digit``, ``name``, ``motor``, ``arms`` by the short names of the joints, and
+    ``tension_max``.
     """
     places = {joint: (digit.name, f"j{i + 1}") for digit in described.digits for i, joint in enumerate(digit.joints)}
     usable: list[dict[str, Any]] = []
@@ -139,7 +141,8 @@ def usable_tendons(described: Described) -> tuple[list[dict[str, Any]], list[str
             }
             own |= {"arms": {joint: arm for (_, joint), arm in arms.items()}, "tension_max": tendon["tension_max"]}
             usable.append(own)
-    # A hand needs a way to move every joint: some tendons alone are a mechanism of the model, not its drive.
+    # Tendons that do not move every joint are a mechanism of the model, and not the drive of the
+    # hand.
     moved = {(tendon["digit"], joint) for tendon in usable for joint in tendon["arms"]}
     if usable and moved != set(places.values()):
         notes.append("the tendons of the file are not read: they do not move every joint")
@@ -238,7 +241,7 @@ def _head(described: Described, answers: TendonAnswers, buses: int, can_fd: bool
 
 
 def _sensor_node(answers: TendonAnswers) -> str:
-    """Return the section of the sensors, empty for a hand without."""
+    """Return the section of the sensors, empty for a hand without sensors."""
     if answers.cells == answers.encoders == "none":
         return ""
     sync, base = SENSOR_IDS.get(answers.protocol or "", SENSOR_IDS["mit"])
@@ -258,7 +261,7 @@ def _sensor_node(answers: TendonAnswers) -> str:
 
 
 def _common_lines(described: Described, answers: TendonAnswers) -> list[_Line]:
-    """Return the values of all digits that no digit has in the description."""
+    """Return the default values of all digits that the description does not contain."""
     links = [link for digit in described.digits for link in digit.links]
     known = {
         "link_radius_m": any(link.radius for link in links),
@@ -271,7 +274,7 @@ def _common_lines(described: Described, answers: TendonAnswers) -> list[_Line]:
 
 
 def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_Line]:
-    """Return the values of a digit that the description has."""
+    """Return the values of a digit that the description contains."""
     links = digit.links
     lines = [_Line("name", f'"{digit.name}"')]
     if digit.carrier is not None:
@@ -302,7 +305,7 @@ def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_Line]:
 
 
 def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_Line]:
-    """Yield the keys of the mesh of the palm, without those that have their default."""
+    """Yield the keys of the mesh of the palm that differ from their defaults."""
     if mesh is None:
         return
     yield _Line("palm_mesh", quoted(mesh.file))
@@ -315,7 +318,7 @@ def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_Line]:
 
 
 def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_Line]:
-    """Yield the keys of the meshes of a digit, without those that have their default."""
+    """Yield the keys of the meshes of a digit that differ from their defaults."""
     if not any(meshes):
         return
     none = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
@@ -330,12 +333,12 @@ def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_Line]:
 
 
 def _scale(scale: Array) -> str:
-    """Return a scale as one number if it is that along all axes."""
+    """Return a scale as text, one number if it is equal along all axes."""
     return _number(float(scale[0])) if scale[0] > 0.0 and not np.ptp(scale) else _numbers(scale)
 
 
 def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Line]:
-    """Yield damping, armature and springs of a digit. A value of 0 was not given."""
+    """Yield damping, armature and springs of a digit. The value 0 means that the description has no value."""
     links = digit.links
     values = {
         "joint_damping_N_m_s_per_rad": [link.damping for link in links],
@@ -350,7 +353,7 @@ def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Line]:
 
 
 def _drive_lines(tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int, int | None]) -> Iterable[_Line]:
-    """Yield tendons and motors of a digit. The node numbers of each bus follow each other."""
+    """Yield tendons and motors of a digit. The node numbers on each bus are consecutive."""
     for tendon in tendons:
         arms = tendon["arms"]
         words = [f'motor = "{tendon["motor"]}"']

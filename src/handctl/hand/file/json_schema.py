@@ -17,18 +17,18 @@ from handctl.hand.file.templates import (
 )
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
-"""Version of JSON Schema that editors of TOML read."""
+"""Version of JSON Schema that TOML editors support."""
 DEFINITIONS = {"digit": "Digit", "tendon": "Tendon", "motor": "Motor"}
-"""Definition of a section of each kind."""
+"""Name of the definition of a section of each kind."""
 VALUES = {kind: f"{name}Values" for kind, name in DEFINITIONS.items()}
 """Definition of the values of a default, a template, or a table within a digit."""
 
 
 def hand_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a hand file of schema 2. A file of schema 1 suits it as well.
+    """Return the JSON Schema of a hand file of schema 2. Files of schema 1 also conform to it.
 
-    Every key of a digit, tendon or motor is optional for an editor, because a default or template can
-    have it. ``handctl config check`` finds what is missing.
+    Every key of a digit, tendon or motor is optional for an editor, because a default or template
+    can have it. ``handctl config check`` finds what is missing.
     """
     schema = Hand.model_json_schema(by_alias=True, schema_generator=DescribedSchema)
     definitions = schema["definitions"] = schema.pop("$defs")
@@ -90,7 +90,7 @@ def _reference_to(name: str) -> dict[str, Any]:
 
 
 def _in_draft_vocabulary(node: Any) -> Any:
-    """Return a schema in the words of the draft, without the titles that only repeat a key."""
+    """Return a schema with the keywords of draft 7, without titles that only repeat a key."""
     if isinstance(node, list):
         return [_in_draft_vocabulary(entry) for entry in node]
     if not isinstance(node, dict):
@@ -99,7 +99,7 @@ def _in_draft_vocabulary(node: Any) -> Any:
         node = {**node, "items": node["prefixItems"]}
         del node["prefixItems"]
     if isinstance(node.get("$ref"), str):
-        # Draft 7 ignores what stands beside a reference.
+        # Draft 7 ignores other keywords beside a reference.
         node = {"$ref": node["$ref"].replace("#/$defs/", "#/definitions/")}
     return {
         key: value.replace("``", "`")

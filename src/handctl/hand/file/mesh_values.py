@@ -14,7 +14,7 @@ SMALLEST_SCALE = 1e-6
 
 
 def _check_mesh_file(value: Any) -> str:
-    """Validate the path of a mesh file, or the empty string for none."""
+    """Return a valid path of a mesh file, or an empty string without a mesh."""
     printable = isinstance(value, str) and value.isprintable()
     if not printable or (value and PurePath(value).suffix.lower() not in SUFFIXES):
         raise validation_error(f'a file of type {" or ".join(SUFFIXES)}, or "" for none')

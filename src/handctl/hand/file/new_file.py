@@ -1,4 +1,4 @@
-"""Text of a new hand file from a few answers, with a comment at each number that is only an assumption."""
+"""Text of a new hand file from a few answers. A comment marks each assumed number."""
 
 import json
 import math
@@ -16,21 +16,24 @@ TENSION_FLOOR_N = 2.0
 PRELOAD_RAD = 0.6
 """Preload of the springs of a new hand [rad]."""
 OPENING_TORQUE_RATIO = 3.0
-"""Torque of the springs of an open digit per torque of the tension floor."""
+"""Torque of the springs of an open digit divided by the torque of the tension floor."""
 TRIP_RATIO = 1.2
-"""Trip limit per largest tension."""
+"""Trip limit divided by the largest commanded tension."""
 DRIVE_LIMIT_RATIO = 1.4
-"""Limit within the drive per largest tension."""
+"""Tension at the drive's own torque limit divided by the largest commanded tension."""
 OBJECT_PER_DIGIT = 0.75
-"""Diameter of an object per length of the digits. The tips of opposed digits meet around thinner objects."""
+"""Smallest diameter of an object divided by the length of the digits.
+
+Around thinner objects the tips of opposed digits meet.
+"""
 SMALLEST_OBJECT_MM = 35.0
 """Smallest diameter with space in front of the palm [mm]."""
 STRAIGHT_OBJECT_MM = 26.0
-"""Smallest distance of two facing digits of one link, less the width of a link, for a grasp [mm]."""
+"""Smallest free distance between two facing digits of one link, for a grasp [mm]."""
 CLEARANCE_MM = 5.0
 """Space between the open digits and an object [mm]."""
 DIGIT_PER_PULLEY = 14.0
-"""Length of a digit per moment arm at the joints. Digits of any length then press alike."""
+"""Length of a digit divided by the moment arm at its joints. With this ratio digits of any length press equally."""
 SIDE_GAP_MM = 2.0
 """Space on each side of a digit [mm]."""
 ROW_WIDTH_MM = 80.0
@@ -40,7 +43,7 @@ MOTORS_PER_BUS = 8
 SENSOR_IDS = {"mit": ("0x080", "0x1A0"), "odrive": ("0x700", "0x720")}
 """Identifiers of SYNC and of the first sensor frame. ODrive n has the identifiers 32 n to 32 n + 31."""
 FINGERS = ("index", "middle", "ring", "little")
-"""Names of the digits of one side. Further digits are numbered."""
+"""Names of the first digits of one side. Further digits are numbered."""
 LARGEST_COUNT = 8
 """Largest number of digits on a side."""
 
@@ -99,7 +102,7 @@ class HandAnswers:
 
 
 def check_answers(answers: HandAnswers) -> None:
-    """Refuse answers that make no hand file. All further limits are those of a hand file.
+    """Check answers that would not lead to a valid hand file. The hand file has further limits.
 
     Raises:
         ConfigError: a name or a number of digits is wrong.
@@ -118,7 +121,7 @@ def check_answers(answers: HandAnswers) -> None:
 
 
 def check_name(name: str) -> None:
-    """Refuse a name of a hand that no hand file may have.
+    """Check that the name of a hand is valid in a hand file.
 
     Raises:
         ConfigError: the name is wrong.
@@ -129,7 +132,7 @@ def check_name(name: str) -> None:
 
 def palm_warnings(answers: HandAnswers) -> tuple[str, ...]:
     """Return warnings about facing digits and a narrow palm, one line per warning."""
-    # Straight links touch a thinner object before their tips meet than digits that curl.
+    # Digits with straight links can touch a thinner object before their tips meet.
     enough = answers.spacious_palm if len(answers.links_mm) > 1 else answers.width_mm + STRAIGHT_OBJECT_MM
     if answers.fingers != answers.opposed or answers.palm >= enough:
         return ()
@@ -177,15 +180,16 @@ def _digit_names(answers: HandAnswers) -> list[tuple[str, int]]:
 
 
 def _mount_places(answers: HandAnswers) -> list[float]:
-    """Return the place of each digit along the hinges, the first side first [m].
+    """Return the position of each digit along the hinges [m], first those of the first side.
 
-    Sides with different numbers of digits interleave. Otherwise tips meet before the digits press on
-    an object.
+    Digits of opposite sides are interleaved, because facing tips would meet before the digits press
+    on an object.
     """
     counts = (answers.fingers, answers.opposed)
     passing = answers.width_mm * 2 + SIDE_GAP_MM
     spacing = max(answers.width_mm + SIDE_GAP_MM, min(passing, ROW_WIDTH_MM / max(1, max(counts) - 1)))
-    # Rows that are both even or both odd face each other unless one is moved by half a gap.
+    # If both rows have an even or an odd number of digits, one row is moved by half a gap.
+    # Otherwise digits would face each other.
     moved = spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
     places = []
     for count in counts:
@@ -221,7 +225,8 @@ def _head_tables(answers: HandAnswers, can_fd: bool) -> str:
         bitrate += "\ndata_bitrate = 5_000_000         # ASSUMED: as set in the drives"
     buses = "\n\n".join(f'[[bus]]\nname = "{name}"\n{bitrate}' for name in _bus_names(answers))
     return f"""# Written by handctl config init. SI units, named in each key. Measure or look up what is marked ASSUMED.
-# handctl config check --hand FILE finds mistakes, handctl demo --lockstep --hand FILE is the first grasp.
+# handctl config check --hand FILE finds mistakes, handctl demo --lockstep --hand FILE is the first
+# grasp.
 schema = 2
 name = "{answers.name}"
 description = "{answers.fingers + answers.opposed} digits of {len(answers.links_mm)} joints, {tendons}"
@@ -250,7 +255,7 @@ def _digit_values(answers: HandAnswers) -> str:
     masses = [DENSITY_KG_M3 * length * width**2 for length in lengths]
     inertias = [mass * (length**2 + width**2) / 12 for mass, length in zip(masses, lengths, strict=True)]
     count = len(lengths)
-    # The floor of all tendons that cross a joint closes it, and its spring opens it.
+    # The tension floor of all tendons at a joint closes the joint, and its spring opens it.
     crossing = [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
     stiffness = [
         OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * TENSION_FLOOR_N / PRELOAD_RAD for tendons in crossing

@@ -21,7 +21,7 @@ class Mount(Section):
     gravity_m_s2: tuple[qty.Gravity, qty.Gravity, qty.Gravity]
     """Gravity in the palm frame: x out of the palm, y from thumb to fingers, z along the hinges."""
     palm_mesh: mesh.MeshFile | None = None
-    """Mesh that pictures show as the palm, see ``link_mesh``. Absent for a box."""
+    """Mesh that viewers show as the palm, see ``link_mesh``. Absent for a box."""
     palm_mesh_scale: mesh.MeshScale | None = None
     """Unit of the mesh in metres, or a factor for x, y, z. 1 if absent, 0.001 for a mesh in millimetres."""
     palm_mesh_position_m: tuple[mesh.MeshPosition, mesh.MeshPosition, mesh.MeshPosition] | None = None
@@ -50,7 +50,7 @@ HANDCTL_NODE_KEYS = ("base_id", "joint_decimation", "joint_noise_rad", "joints")
 CIA404_KEYS = ("node_ids", "channels_per_node", "range_N", "process_value", "decimal_digits")
 """Keys of ``SensorNode`` that only the protocol ``cia404`` has."""
 TPDO_IDS = (0x180, 0x280, 0x380, 0x480)
-"""Identifiers of TPDO 1 to 4, plus the node number. Source: CiA 301, predefined connection set."""
+"""Identifiers of TPDO 1 to 4, without the node number that is added. Source: CiA 301, predefined connection set."""
 CHANNELS_PER_TPDO = 2
 """Values of 32 bits in 8 bytes."""
 
@@ -78,7 +78,7 @@ class SensorNode(Section):
     tension_noise_N: qty.Force
     """Standard deviation of a load-cell sample."""
     tension_bias_drift_N: qty.Force
-    """Random walk, per 100 s."""
+    """Standard deviation of a load cell's drift after 100 s, as a random walk."""
     joint_noise_rad: qty.JointNoise = 1e-3
     """Standard deviation of a joint-encoder sample, required. CiA 404: absent."""
     node_ids: tuple[qty.AmplifierId, ...] = ()
@@ -133,7 +133,7 @@ class StreamLimits(Section):
     """Limits of targets that a client streams to the hand."""
 
     speed_deg_s: qty.JointSpeed = 300.0
-    """Largest joint speed. Faster random targets throw digits against each other until a tendon is slack."""
+    """Largest joint speed. With faster random targets, digits hit each other until a tendon is slack."""
     acceleration_deg_s2: qty.JointAcceleration = 2_500.0
     """Largest joint acceleration. Source: a sine of 1 Hz and 20 degrees has 790 deg/s2."""
     tension_rate_N_per_s: qty.TensionRate = 1000.0
@@ -154,7 +154,8 @@ class Digit(Section):
     """Finger or thumb: a chain of links with a hinge before each.
 
     The frame of a link has its origin in the link's joint and x along the link. Without
-    ``joint_axis`` and ``joint_rpy_deg`` all hinges are along z, and a positive angle flexes towards y.
+    ``joint_axis`` and ``joint_rpy_deg`` all hinges are along z, and a positive angle flexes towards
+    y.
     """
 
     name: qty.Name
@@ -171,7 +172,7 @@ class Digit(Section):
     link_length_m: tuple[qty.Length, ...] = Field(min_length=1, max_length=MAX_LINKS)
     """Distance from a link's joint to the next joint, or to the tip. 0 if the axes of two joints meet."""
     joint_axis: tuple[tuple[qty.Direction3, qty.Direction3, qty.Direction3], ...] | None = None
-    """Unit vector of each hinge in the link's frame. Absent for hinges along z, [0, 0, 1]."""
+    """Axis of each hinge as a unit vector in the link's frame. Absent for hinges along z, [0, 0, 1]."""
     joint_rpy_deg: tuple[tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle], ...] | None = None
     """Orientation of each link's frame in the frame before it at angle zero, as ``mount_rpy_deg``.
 
@@ -184,7 +185,8 @@ class Digit(Section):
     link_inertia_kg_m2: tuple[qty.LinkInertia, ...]
     """Inertia about the centre of mass: a number, [xx, yy, zz], or [xx, yy, zz, xy, xz, yz].
 
-    A number is the inertia of a round bar about y and z. About x it is that of the bar's radius.
+    A number is the inertia of a round bar about y and z. The inertia about x is that of a bar with
+    the radius of the link.
     """
     link_radius_m: qty.Radius
     """Radius of the links, as a capsule."""
@@ -195,7 +197,7 @@ class Digit(Section):
     joint_damping_N_m_s_per_rad: tuple[qty.Damping, ...]
     """Viscous damping of each joint."""
     joint_armature_kg_m2: tuple[qty.Armature, ...]
-    """Additional inertia of each joint: pulley and pin."""
+    """Inertia of each joint itself, for example of pulley and pin."""
     spring_stiffness_N_m_per_rad: tuple[qty.SpringStiffness, ...]
     """Stiffness k of the return spring of each joint."""
     spring_preload_rad: tuple[qty.Preload, ...]
@@ -208,7 +210,7 @@ class Digit(Section):
     joint_rated_torque_N_m: tuple[qty.PositiveTorque, ...] | None = None
     """Torque limit of each joint with its pin and links, absent if unknown."""
     link_mesh: tuple[mesh.MeshFile, ...] | None = None
-    """Mesh that pictures show as each link, ``""`` for a capsule: binary STL or OBJ, relative to the hand file.
+    """Mesh file that viewers show as each link, binary STL or OBJ, relative to the hand file. ``""`` is a capsule.
 
     Meshes have neither mass nor contacts. Absent for capsules.
     """
@@ -222,7 +224,7 @@ class Digit(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_springs(cls, given: Any) -> Any:
-        """Add springs without stiffness to a digit without springs: an antagonist returns it."""
+        """Add springs without stiffness to a digit without springs. An antagonist returns such a digit."""
         if not isinstance(given, dict) or given.keys() & set(SPRINGS):
             return given
         links = given.get("link_length_m")
@@ -246,9 +248,9 @@ class Tendon(Section):
 
     A tendon crosses joints of one digit, and of digits that carry it, such as a wrist.
 
-    An arm that depends on the joint's own angle is ``{ polynomial_m = [r0, r1, ..] }`` with at most six
-    coefficients for an angle in rad, or a table ``{ angle_deg = [..], arm_m = [..] }`` over the range of
-    the joint, which becomes a least-squares polynomial of degree 3.
+    An arm that depends on the joint's own angle is ``{ polynomial_m = [r0, r1, ..] }`` with at most
+    six coefficients for an angle in rad, or a table ``{ angle_deg = [..], arm_m = [..] }`` over the
+    range of the joint, which becomes a least-squares polynomial of degree 3.
     """
     stiffness_N_per_m: qty.TendonStiffness
     """Stiffness of the whole path, below the knee."""
@@ -257,15 +259,15 @@ class Tendon(Section):
     knee_N: qty.PositiveForce
     """Tension at which the stiffness changes."""
     stiffness_beyond_ratio: qty.StiffnessRatio
-    """Stiffness beyond the knee over the stiffness below."""
+    """Stiffness beyond the knee divided by the stiffness below the knee."""
     knee_width_m: qty.KneeWidth
     """Length over which the stiffness changes."""
     friction_coefficient: qty.FrictionCoefficient
-    """Capstan coefficient of friction."""
+    """Friction coefficient of the pulleys."""
     wrap_angle_rad: qty.Wrap
     """Wrap between spool and first joint. The joint angles add to it."""
     rated_breaking_force_N: qty.PositiveForce
-    """Strength of the tendon by its catalogue."""
+    """Breaking force of the tendon according to its data sheet."""
     tension_floor_N: qty.Force
     """Smallest commanded tension, which keeps the tendon on its pulleys."""
     tension_max_N: qty.PositiveForce
@@ -277,8 +279,9 @@ class Tendon(Section):
     pretension_N: qty.PositiveForce | None = None
     """Tension of both tendons of a spool pair at rest. Absent for a single tendon.
 
-    A spool pair is two antagonistic tendons on one spool with opposite winding. ``moment_arm_m`` is
-    that of the tendon that a positive motor torque winds, the arms of the other have the opposite sign.
+    A spool pair is two antagonistic tendons on one spool with opposite winding. ``moment_arm_m``
+    has the arms of the tendon that a positive motor torque winds. The arms of the other tendon have
+    the opposite sign.
     """
 
     @model_validator(mode="before")
@@ -317,9 +320,9 @@ class Motor(Section):
     torque_peak_N_m: qty.PositiveTorque
     """Torque that the motor can make without its limit."""
     position_range_rad: qty.PositionRange
-    """Range of the position on the wire, either way."""
+    """Largest absolute position that the drive's frames can represent."""
     velocity_range_rad_s: qty.SpeedRange
-    """Range of the velocity on the wire, either way."""
+    """Largest absolute velocity that the drive's frames can represent."""
     direction: qty.Direction
     """1 if positive torque of the drive winds the tendon, else -1."""
     zero_rad: qty.Zero
@@ -331,9 +334,9 @@ class Motor(Section):
     control: qty.MotorControl | None = None
     """``position`` if the drive closes the position loop of a motion. Absent for ``torque``."""
     kp_N_m_per_rad: qty.ServoStiffness | None = None
-    """Stiffness of the drive's position loop. Absent for that of the gains ``motion``."""
+    """Stiffness of the drive's position loop. If it is absent, the stiffness follows from the gains ``motion``."""
     kd_N_m_s_per_rad: qty.ServoDamping | None = None
-    """Damping of this loop. Absent for the damping ratio of the gains ``motion``."""
+    """Damping of the drive's position loop. If it is absent, the damping ratio is that of the gains ``motion``."""
 
     @property
     def holds_position(self) -> bool:

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 CANOPEN_SYNC = 0x080
 """Identifier of SYNC in CANopen. Source: CiA 301."""
 AMPLIFIER_SERVICES = (0x080, 0x580, 0x600, 0x700)
-"""Emergency, SDO in both directions, heartbeat of an amplifier: plus the node number. Source: CiA 301."""
+"""Identifiers of an amplifier's emergency, SDO in both directions and heartbeat, without the node number that is added.
+
+Source: CiA 301.
+"""
 TARE_MARGIN_N = 6.0
 """Largest accepted tare of a load cell [N], by which the usable range is smaller."""
 MAX_COUNT = (1 << 31) - 1
@@ -23,7 +26,7 @@ MAX_COUNT = (1 << 31) - 1
 
 
 def check_sensor_node(hand: Hand) -> Iterator[Mistake]:
-    """Yield the mistakes of the section ``sensor_node`` that its keys have together."""
+    """Yield the mistakes of the section ``sensor_node`` that concern several keys."""
     node = hand.sensor_node
     foreign, protocol = (HANDCTL_NODE_KEYS, HANDCTL_NODE) if node.is_cia404 else (CIA404_KEYS, CIA404)
     for key in foreign:

@@ -1,12 +1,13 @@
 """Resolution of a schema 2 file: defaults and templates are replaced by the values that they stand for.
 
-A file of schema 2 writes a repeated value once. The resolved content is a file of schema 1, in which
-every section has all its values. The rules, in order:
+A file of schema 2 writes a repeated value once. The resolved content is a file of schema 1, in
+which every section has all its values. The rules, in order:
 
 1. A digit, tendon or motor has the values of ``[default.KIND]``, replaced by those of its template
    ``[KIND_template.NAME]``, replaced by its own. Tables are merged key by key.
 2. A digit may hold tables ``tendon.NAME`` and ``motor.NAME``. They are tendons and motors named
-   DIGIT_NAME. Within them ``j1`` is joint DIGIT_j1, and the name of a motor of the digit may be short.
+   DIGIT_NAME. Within them ``j1`` is joint DIGIT_j1, and the name of a motor of the digit may be
+   short.
 3. One number for a list per link holds for every link.
 4. ``"all"`` in the sensor node stands for all tendons, or all joints.
 """
@@ -30,7 +31,7 @@ DIGIT_KINDS = ("tendon", "motor")
 TEMPLATES = {kind: f"{kind}_template" for kind in SECTION_KINDS}
 """Name of the table of templates of each kind."""
 KEYS_ONE_FOR_ALL_LINKS = (*KEYS_PER_LINK, "joint_rated_torque_N_m", "link_mesh_scale")
-"""Lists of a digit that one number may stand for."""
+"""Keys of a digit whose list may be given as one number."""
 WORD_FOR_ALL = "all"
 """Value of the sensor node that stands for all tendons or all joints."""
 MERGE_DEPTH = 3
@@ -45,7 +46,7 @@ Origins = dict[str, str]
 
 
 class Layer(NamedTuple):
-    """Values that later layers replace, and the key path where the file has them."""
+    """Values of a section from one place in the file, with the key path of this place. Later layers replace them."""
 
     values: Table
     path: str
@@ -68,7 +69,8 @@ class Resolved(NamedTuple):
 def resolve_templates(content: Table) -> Resolved:
     """Replace defaults and templates by values. Content of schema 1 stays as it is.
 
-    Whatever has not the form of a section also stays as it is: validation describes it better.
+    A value without the form of a section is not changed either, because validation describes the
+    mistake better.
     """
     tables = [key for key in ("default", *TEMPLATES.values()) if key in content]
     if content.get("schema") != WRITTEN_SCHEMA and not tables:
@@ -99,7 +101,7 @@ def resolve_templates(content: Table) -> Resolved:
 
 
 class _Resolver:
-    """Resolution in progress: what the file has, and what was found so far."""
+    """Resolution in progress: content of the file, and results so far."""
 
     def __init__(self, content: Table) -> None:
         """Start with the content of a file."""
@@ -158,7 +160,8 @@ class _Resolver:
         given = self.content.get("default")
         default: Table = given if isinstance(given, Mapping) else {}
         for key, values in default.items():
-            # A misspelt kind has its values nevertheless: they would otherwise be reported as missing.
+            # Values of a misspelt kind are used. Otherwise they would be reported as missing as
+            # well.
             misspelt = (
                 key not in SECTION_KINDS and kind not in default and most_similar_key(key, [*SECTION_KINDS]) == kind
             )
@@ -174,7 +177,8 @@ class _Resolver:
         if not isinstance(name, str) or name not in valid:
             right = most_similar_key(str(name), valid) if valid else f"the name of a table [{key}.NAME]"
             self.mistakes.append(Mistake(toml_spelling(name), f"{named[-1].path}.template", right))
-            # The most similar template instead: its values would otherwise be reported as missing.
+            # The most similar template is used. Otherwise its values would be reported as missing
+            # as well.
             name = right if right in valid else next(iter(valid), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
             yield Layer(_without_entry_keys(templates[name]), f"{key}.{name}")
@@ -253,7 +257,7 @@ def join_mistakes_of_default(mistakes: Iterable[Mistake], content: Table) -> lis
 
 
 def _merge_layers(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], Origins]:
-    """Merge layers. Later layers win, and tables are merged key by key.
+    """Merge layers. Later layers replace earlier ones, and tables are merged key by key.
 
     Returns:
         The values, and the key path in the file of each value by its relative key path.

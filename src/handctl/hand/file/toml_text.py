@@ -1,4 +1,4 @@
-"""TOML text of a hand's resolved content, for the log. It reads back as an equal hand."""
+"""TOML text of a hand's resolved content, for the log. A hand that is read from the text is equal."""
 
 import json
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ def _value_lines(table: Mapping[str, Any], inline_tables: bool = False) -> list[
     """Return the lines of a table's plain values."""
 
     def is_entry(value: Any) -> bool:
-        """Return True for a value of this table's own lines."""
+        """Return True for a value that is written in a line of its table."""
         return bool(inline_tables and value) if isinstance(value, Mapping) else not _is_table_array(value)
 
     return [f"{key} = {_value_text(value)}" for key, value in table.items() if value is not None and is_entry(value)]

@@ -22,7 +22,8 @@ def mesh_triangles(data: bytes, suffix: str) -> Array:
         suffix: ending of the file's name, ``.stl`` or ``.obj``.
 
     Raises:
-        ValueError: the content is no such mesh, is empty, or too large. The text says what is right.
+        ValueError: the content is no such mesh, is empty, or too large. The text contains what is
+            expected.
     """
     triangles = _stl_triangles(data) if suffix.lower() == ".stl" else _obj_triangles(data)
     if not len(triangles):
@@ -48,7 +49,7 @@ def _stl_triangles(data: bytes) -> Array:
 
 
 def _obj_triangles(data: bytes) -> Array:
-    """Return the triangles of an OBJ. A face with more corners is a fan of triangles."""
+    """Return the triangles of an OBJ. A face with more than three corners is divided into a fan of triangles."""
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
     for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):

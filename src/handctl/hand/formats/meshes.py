@@ -1,4 +1,4 @@
-"""Meshes of a hand's links and palm: pictures of them only, without mass and contacts."""
+"""Meshes of a hand's links and palm, for display only. They have neither mass nor contacts."""
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -80,7 +80,7 @@ def meshes_of(hand: Hand) -> tuple[LinkMesh, ...]:
 
 
 def _mesh(link: str, key: str, file: str, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
-    """Return a mesh with defaults for what is None."""
+    """Return a mesh, with default values for arguments that are None."""
     scale = 1.0 if scale is None else scale
     scales = (scale, scale, scale) if isinstance(scale, float) else scale
     return LinkMesh(link, key, file, scales, position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0))
@@ -109,7 +109,8 @@ def read_triangles(path: Path) -> Array:
     """Return the corners of all triangles of a mesh file, (n, 3, 3), in the unit of the file.
 
     Raises:
-        ValueError: the file is missing, unreadable, too large, or no such mesh. The text says what is right.
+        ValueError: the file is missing, unreadable, too large, or no such mesh. The text contains
+            what is expected.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"a file of type {path.suffix or 'unknown'}; expected {' or '.join(SUFFIXES)}")

@@ -1,7 +1,7 @@
 """Export of a hand as MJCF for MuJoCo: links, springs, stops, and tendons driven by tension.
 
-The world frame is the palm frame. All joints at zero form the hand at rest, positive angles flex.
-Each control is the tension of one tendon at the joint pulleys [N]. The model has no tendon
+The world frame is the palm frame. In the hand at rest all joint angles are zero. Positive angles
+flex. Each control is the tension of one tendon at the joint pulleys [N]. The model has no tendon
 elasticity, no friction, and no rotors.
 """
 
@@ -38,7 +38,8 @@ def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
 
     Args:
         hand: description.
-        meshes: meshes by link, with paths relative to the file. They have neither mass nor contacts.
+        meshes: meshes by link, with paths relative to the file. They have neither mass nor
+            contacts.
     """
     root = ET.Element("mujoco", model=hand.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -122,7 +123,8 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
     root.insert(list(root).index(root.find("worldbody")), assets)  # type: ignore[arg-type]
     bodies = {str(body.get("name")): body for body in root.iter("body")}
     for link, mesh in meshes.items():
-        # The inertia of a shell is defined for open surfaces, too. It has no effect.
+        # MuJoCo needs an inertia, and that of a shell is defined for open surfaces too. It has no
+        # effect.
         ET.SubElement(assets, "mesh", name=link, file=mesh.file, scale=numbers_text(mesh.scale), inertia="shell")
         for geom in bodies[link].findall("geom"):
             geom.set("group", HIDDEN_GROUP)
@@ -135,7 +137,8 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
 def _add_tendons(root: ET.Element, hand: Hand) -> None:
     """Add fixed tendons by their moment arms, each with a motor that pulls only.
 
-    The arms of a fixed tendon are constant. An arm that depends on the angle counts with its mean.
+    The arms of a fixed tendon are constant. An arm that depends on the angle is replaced by its
+    mean.
     """
     tendons = ET.SubElement(root, "tendon")
     actuators = ET.SubElement(root, "actuator")

@@ -1,8 +1,8 @@
 """Digits of a hand from a tree of links in any frames, as a robot description has them.
 
-A digit of a hand file is a chain. The frame of a link has x along the link, and the next joint lies on
-x. Links of a description have any frames, so most are turned here. A frame that fits already stays as
-it is.
+A digit of a hand file is a chain. The frame of a link has x along the link, and the next joint lies
+on x. Links of a description have any frames, so most are turned here. A frame that already has this
+form is not changed.
 """
 
 import re
@@ -19,21 +19,21 @@ from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.hand.file.sections import MAX_LINKS
 
 MAX_ANGLE_TO_LINK_RAD = 1e-6
-"""Largest angle between x and the next joint for a frame that stays as it is [rad]."""
+"""Largest angle between x and the next joint at which a frame is not changed [rad]."""
 INTERSECTION_TOLERANCE_M = 1e-7
 """Largest distance of two joints whose axes meet [m]."""
 MIN_FLEXION_Y = 0.7
-"""Smallest component along y of the motion of the tip, for a last frame that stays as it is."""
+"""Smallest component along y of the tip's motion at which the last frame of a digit is not changed."""
 CLOSED_BELOW = 0.1
 """Largest upper limit, as a fraction of the lower one, of a joint that flexes towards negative angles."""
 MIN_FORWARD_X = 0.7
-"""Smallest component along x of the digits of a palm frame that stays as it is."""
+"""Smallest component along x of the digits' directions at which a palm frame is not changed."""
 MAX_MOUNT_OFFSET_M = 0.005
-"""Largest distance of the foremost mount from the plane x = 0, for a palm frame that stays there [m]."""
+"""Largest distance of the foremost mount from the plane x = 0 at which a palm frame is not shifted [m]."""
 MAX_PARALLEL_SINE = 0.1
 """Largest sine of the angle between a joint's axis and its link that counts as a joint about the link."""
 TIP_NAME = re.compile(r"tip|end", re.IGNORECASE)
-"""Names of the frame at the end of a digit."""
+"""Pattern of the names of a frame at the end of a digit."""
 JOINT_SUFFIX = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNORECASE)
 """End of the name of a joint after the name of its digit."""
 
@@ -115,7 +115,10 @@ class ModelLink:
 
     @staticmethod
     def of(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
-        """Build a link from plain values and its mesh. A joint that flexes towards negative angles is turned around."""
+        """Build a link from plain values and its mesh.
+
+        The axis of a joint that flexes towards negative angles is reversed.
+        """
         axis = np.array(values["axis"], dtype=float)
         rest = float(values["rest"])
         limits = None if values["range"] is None else (float(values["range"][0]), float(values["range"][1]))
@@ -190,8 +193,9 @@ class _Chain:
 def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit, ...], Array, Array]:
     """Return the digits of a tree of links, each after the digit that carries it, and the frame of the palm.
 
-    The palm frame of the hand is the root frame, turned by right angles if the digits do not point along
-    its x axis. The root frame is then shifted as well, so that no mount is before the plane x = 0.
+    The palm frame of the hand is the root frame, turned by right angles if the digits do not point
+    along its x axis. The root frame is then shifted as well, so that no mount is before the plane x
+    = 0.
 
     Args:
         links: all links, parents first.
@@ -201,7 +205,7 @@ def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit
         The digits, and rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
 
     Raises:
-        ConfigError: nothing tells where a digit ends.
+        ConfigError: the description does not show where a digit ends.
     """
     chains = list(_chains(links))
     frames = _frames(links, chains, source)
@@ -254,7 +258,7 @@ def _chains(links: Sequence[ModelLink]) -> Iterator[_Chain]:
 
 
 def _digit_name(links: Sequence[ModelLink], taken: set[str], count: int) -> str:
-    """Return a name for a digit: what the names of its joints have in common, or of its links, or a number."""
+    """Return a name for a digit: the common part of its joints' names or of its links' names, or a number."""
     for names in ([link.joint for link in links], [link.name for link in links]):
         common = names[0]
         for name in names[1:]:
@@ -288,7 +292,7 @@ def _frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
         return np.eye(3), length
     z = link.axis - (link.axis @ x) * x
     if np.linalg.norm(z) < MAX_PARALLEL_SINE:
-        # The joint turns about the link. Any direction across the link will do.
+        # The axis of the joint is along the link, so any direction across the link may be used.
         z = np.eye(3)[int(np.argmin(np.abs(x)))]
         z = z - (z @ x) * x
     z = z / np.linalg.norm(z)
@@ -299,7 +303,7 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
     """Return the end of the last link of a digit, (3,) in its frame [m].
 
     Raises:
-        ConfigError: neither a frame nor a shape tells where it is.
+        ConfigError: neither a frame nor a shape shows the end.
     """
     link = links[i]
     away = {name: place for name, place in link.frames.items() if np.linalg.norm(place) > INTERSECTION_TOLERANCE_M}
@@ -308,7 +312,7 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
         return named[0]
     carried = [other.position for other in links if other.parent == i]
     if carried:
-        # The end of a link that carries digits has no meaning. It must only be away from the joint.
+        # The end of a link that carries digits is not used. It must only differ from the joint.
         return (
             np.mean(carried, axis=0)
             if np.linalg.norm(np.mean(carried, axis=0)) > INTERSECTION_TOLERANCE_M
@@ -319,7 +323,8 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
     if not len(link.points):
         what = f"neither a frame nor a shape tells where its last link {link.name} ends"
         raise ConfigError(what, where, f"a fixed link or site {link.name}_tip")
-    # Along the line from the joint to the middle of the shapes, up to the farthest corner.
+    # The end is on the line from the joint to the middle of the shapes, at the distance of the
+    # farthest corner.
     middle = (link.points.min(axis=0) + link.points.max(axis=0)) / 2
     across = middle - (middle @ link.axis) * link.axis
     direction = across if np.linalg.norm(across) > INTERSECTION_TOLERANCE_M else middle
@@ -332,7 +337,8 @@ def _palm_frame(
 ) -> tuple[Array, Array]:
     """Return rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
 
-    x is out of the palm: along the digits. y is from thumb to fingers: the first digit closes towards -y.
+    x is out of the palm: along the digits. y is from thumb to fingers: the first digit closes
+    towards -y.
     """
     places: list[tuple[Array, Array]] = []
     for link in links:

@@ -1,4 +1,4 @@
-"""Numbers as text of the attributes of XML files."""
+"""Conversion of numbers to text for the attributes of XML files."""
 
 import numpy as np
 

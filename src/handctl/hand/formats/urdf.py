@@ -1,7 +1,7 @@
 """Export of a hand as URDF, with primitive shapes, for viewers and dynamics libraries.
 
-All joints at zero form the hand at rest, positive angles flex. Links are bars along their own x
-axis.
+In the hand at rest all joint angles are zero. Positive angles flex. Links are bars along their own
+x axis.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,8 @@ PALM_MARGIN = 0.010
 def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     """Return the URDF of a hand.
 
-    The root link is ``palm``, links are ``index_link1``.., joints ``index_j1``.., tips ``index_tip``.
+    The root link is ``palm``, links are ``index_link1``.., joints ``index_j1``.., tips
+    ``index_tip``.
 
     Args:
         hand: description.
@@ -70,7 +71,7 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
 def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     """Return the length of the shape of link i [m].
 
-    A link that carries digits ends, with its round end, at the face of the box that carries them.
+    The round end of a link that carries digits touches the face of the box behind these digits.
     """
     length = digit.link_length_m[i]
     last = i == len(digit.link_length_m) - 1
@@ -95,7 +96,7 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     ET.SubElement(joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}")
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
     position, rotation = link_placement(digit, i)
-    # Adding 0.0 makes 0.0 of -0.0.
+    # The addition of 0.0 turns -0.0 into 0.0.
     ET.SubElement(joint, "origin", xyz=numbers_text(position), rpy=numbers_text(np.add(rpy_of(rotation), 0.0)))
     ET.SubElement(joint, "axis", xyz=numbers_text(joint_axes(digit)[i]))
     crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
