@@ -58,7 +58,8 @@ def _success(rows: list[dict[str, Any]]) -> str:
         failures.append(f"* {hand}, {grasp}, {thing}: {'; '.join(reasons)}")
     named = "\n\nFailed runs:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
     head = ["grasp", "object", *[f"{hand}: objects held, largest motion" for hand in hands]]
-    return f"{_table(head, table)}\n\nObjects held in total: {'; '.join(totals)}.{named}"
+    fractions = f"Fraction of the runs in which the hand held the object: {'; '.join(totals)}."
+    return f"{_table(head, table)}\n\n{fractions}{named}"
 
 
 def _payload(rows: list[dict[str, Any]]) -> str:

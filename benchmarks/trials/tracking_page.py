@@ -96,7 +96,7 @@ def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
     best, printed = (laws[name]["fast"] for name in named[2:])
     return (
         f"{_compared(laws, named)}. {_printed(printed, best)}\n\nEach entry is the error of "
-        f"the row before minus the error of the row, at the fast motion, with the spread of the "
+        f"the row before minus the error of this row, at the fast motion, with the spread of the "
         f"difference:\n\n{_steps(laws)}"
     )
 
