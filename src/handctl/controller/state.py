@@ -11,7 +11,7 @@ from handctl.core import block as s
 from handctl.core.block import STATE
 from handctl.core.estimate import Estimate, Measured
 from handctl.core.gains.gains import Gains
-from handctl.core.identity_cache import IdentityCache
+from handctl.core.identity_cache import IdentityCache, SequenceCache
 from handctl.core.model import HandModel
 from handctl.core.plain import plain_bytes
 from handctl.core.schema import Block, Layout
@@ -79,15 +79,16 @@ class Decisions(NamedTuple):
 # Serialized parts are cached by identity, because most decisions are the same objects in many
 # ticks.
 _plain_bytes_cache = IdentityCache[Any](plain_bytes)
+_drives_cache, _goals_cache, _rest_cache = (SequenceCache[Any](_plain_bytes_cache) for _ in range(3))
 
 
 def _hash_decisions(decisions: Decisions) -> bytes:
     """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
-    drives = b"".join([_plain_bytes_cache(drive) for drive in decisions.drives])
-    goals = b"".join([_plain_bytes_cache(goal) for goal in decisions.progress.goals])
+    drives = _drives_cache(decisions.drives)
+    goals = _goals_cache(decisions.progress.goals)
     # Without amplifiers the hash equals that of logs from versions without amplifiers.
-    rest = [_plain_bytes_cache(part) for part in (decisions[1:] if decisions.amplifiers else decisions[1:-1])]
-    return xxhash.xxh3_64_digest(b"".join([drives, goals, *rest]))
+    rest = _rest_cache(decisions[1:] if decisions.amplifiers else decisions[1:-1])
+    return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *rest]))
 
 
 _decision_hash_cache = IdentityCache[Decisions](_hash_decisions)

@@ -44,7 +44,7 @@ from handctl.core.wire import Wire
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import PAYLOAD, WORDS, Frames, Rows, frames_as_records, join_frames
+from handctl.drives.records import NO_FRAMES, PAYLOAD, WORDS, Frames, Rows, frames_as_records, join_frames
 from handctl.drives.sensors.contract import Sensors
 from handctl.programs.program import TARE_PHASE, Program
 from handctl.programs.requests import REFUSED_PREFIX
@@ -58,7 +58,6 @@ from handctl.safety.judge import (
 )
 from handctl.safety.limits import Limits
 
-NO_FRAMES = frames_as_records(())
 NO_REQUESTS: tuple[modes.OperatorRequests, tuple[Event, ...]] = modes.OperatorRequests(), ()
 ACTIVE = Mode.ACTIVE
 CUT = Mode.CUT
@@ -315,22 +314,13 @@ class Controller:
 
     def keep(self, state: State, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive in block and decisions, after its state machine has run."""
-        table = state.tendon
-        whole = state.tendon_int
-        table[s.POSITION : s.POSITION + 4, n] = drive_state[1:5]
-        received = drive_state.feedback_count - whole[s.FEEDBACKS, n]
-        whole[s.FEEDBACKS_NOW, n] += received
-        whole[s.FEEDBACKS, n] = drive_state.feedback_count
-        whole[s.FEEDBACK_NS, n] = drive_state.feedback_t_ns
         before = state.decisions.drives[n]
-        if drive_state.misread != before.misread:
-            state.view("misread_now")[n] = 1
         drive = self.drives[n]
-        whole[s.PHASE, n] = drive_state.phase
-        whole[s.FAULT_CODE, n] = drive_state.error
-        whole[s.FAULT_CAUSE, n] = drive.cause(drive_state.error) if drive_state.phase == Phase.FAULT else -1
-        whole[s.STATUS_EXPECTED, n] = drive.steady_status(drive_state)
-        whole[s.DUE_NS, n] = drive.due_ns(drive_state)
+        wire.store_drive(
+            state.block, self.layout.places, n, *drive_state[1:7], int(drive_state.phase), drive_state.error,
+            int(drive.cause(drive_state.error)) if drive_state.phase == Phase.FAULT else -1,
+            drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
+        )  # fmt: skip
         stripped = drive_state.with_values()  # the values are in the block
         if stripped != before:
             drives = state.decisions.drives
@@ -469,7 +459,8 @@ class Controller:
             state.set_whole(s.SYNC_COUNTER, counter & 0xF)
             # Answers of an amplifier before the end of its set-up are not used, and do not count as
             # lost.
-            if all(one.phase == Phase.READY for one in state.decisions.amplifiers):
+            amplifiers = state.decisions.amplifiers
+            if not amplifiers or all(one.phase == Phase.READY for one in amplifiers):
                 state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:

@@ -135,6 +135,10 @@ class Layout:
         self.places: Places = np.concatenate((list(self.axes.values()), ends)).astype(np.int64)
         spans = zip(schema.tables, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
         self._tables = {table: (first, end, widths[table], table.endswith(INT)) for table, first, end in spans}
+        self._shapes = {
+            table: ((schema.rows(table), width), np.dtype(np.int64 if whole else np.float64), 8 * first)
+            for table, (first, _, width, whole) in self._tables.items()
+        }
         self._fields = {field.name: self._span(field) for field in schema.fields}
         self.initial: Block = np.zeros(self.size)
         for field in schema.fields:
@@ -167,9 +171,8 @@ class Layout:
 
     def table(self, block: Block, name: str) -> NDArray[Any]:
         """Return a table as a view into a block, (rows, length of the axis)."""
-        first, end, width, whole = self._tables[name]
-        part = block[first:end]
-        return (part.view(np.int64) if whole else part).reshape(self.schema.rows(name), width)
+        shape, kind, offset = self._shapes[name]
+        return np.ndarray(shape, kind, block, offset)  # one call, because every tick makes several of these views
 
     def difference(self, one: Block, other: Block) -> tuple[str, int, float, float] | None:
         """Return the first difference of two blocks in schema order: field, element, and both values.

@@ -123,6 +123,60 @@ def begin_tick(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed
     x.run_int[s.REFUSED_REQUESTS_NOW] = x.run_int[s.CONSISTENCY_CHANGED] = 0
 
 
+@kernel("block", "layout", "count", "real", "real", "real", "real", *("count",) * 8)
+def store_drive(
+    block: Block,
+    at: Places,
+    n: int,
+    position: float,
+    velocity: float,
+    torque: float,
+    temperature: float,
+    feedback_t_ns: int,
+    feedback_count: int,
+    phase: int,
+    fault_code: int,
+    fault_cause: int,
+    steady_status: int,
+    due_ns: int,
+    misread: int,
+) -> None:
+    """Store the values of a drive whose state machine has run.
+
+    Args:
+        block: the state.
+        at: ``Layout.places``.
+        n: index of the drive.
+        position: motor position [rad at the spool].
+        velocity: motor velocity [rad/s].
+        torque: torque that the drive reports [N m].
+        temperature: hottest sensor of the drive [degC].
+        feedback_t_ns: reception of the latest feedback [ns].
+        feedback_count: feedback frames so far.
+        phase: ``drives.contract.Phase`` of the drive.
+        fault_code: error code of the drive.
+        fault_cause: ``drives.causes.Cause`` of the error code, -1 without a fault.
+        steady_status: status at which the state machine has nothing to do.
+        due_ns: time at which the state machine must run next [ns].
+        misread: 1 if a frame of the drive in this tick had a wrong shape.
+    """
+    x = state_tables(block, at)
+    x.tendon[s.POSITION, n] = position
+    x.tendon[s.VELOCITY, n] = velocity
+    x.tendon[s.REPORTED_TORQUE, n] = torque
+    x.tendon[s.TEMPERATURE, n] = temperature
+    x.tendon_int[s.FEEDBACKS_NOW, n] += feedback_count - x.tendon_int[s.FEEDBACKS, n]
+    x.tendon_int[s.FEEDBACKS, n] = feedback_count
+    x.tendon_int[s.FEEDBACK_NS, n] = feedback_t_ns
+    x.tendon_int[s.PHASE, n] = phase
+    x.tendon_int[s.FAULT_CODE, n] = fault_code
+    x.tendon_int[s.FAULT_CAUSE, n] = fault_cause
+    x.tendon_int[s.STATUS_EXPECTED, n] = steady_status
+    x.tendon_int[s.DUE_NS, n] = due_ns
+    if misread:
+        x.node_int[s.MALFORMED_NOW, n] = 1
+
+
 @kernel("block", "layout", "constants", "layout", "words", "keys", "table_int", "table_int", "table", "count", "count")
 def receive_frames(
     block: Block,

@@ -92,14 +92,11 @@ class DriveState(NamedTuple):
         feedback_count: int = 0,
     ) -> "DriveState":
         """Return the state with new feedback values. Defaults are the values before the first feedback."""
-        return self._replace(
-            position=position,
-            velocity=velocity,
-            torque=torque,
-            temperature=temperature,
-            feedback_t_ns=feedback_t_ns,
-            feedback_count=feedback_count,
-        )
+        # The constructor takes a third of the time of ``_replace``, and a tick with a read-back comes here often.
+        return DriveState(
+            self.phase, position, velocity, torque, temperature, feedback_t_ns, feedback_count,
+            self.error, self.error_text, self.misread, self.private,
+        )  # fmt: skip
 
 
 class Drive(Protocol):

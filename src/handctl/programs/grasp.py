@@ -1,5 +1,6 @@
 """Program that carries out a task file: move, close until contact, hold, release."""
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -237,8 +238,12 @@ class TaskProgram:
         phase = self.task.phase[progress.step - 1]
         if progress.grip is None or not isinstance(phase, Hold):
             return progress, ()
+        limit = phase.slip_limit_N
+        plan = _grip_plan(
+            model, phase.stiffness_N_per_mm, tuple(limit.items()) if isinstance(limit, dict) else limit
+        )
         grip, goals, events = advance_grip(
-            model, progress.grip, _grip_plan(model, phase), progress.goals, estimate, t
+            model, progress.grip, plan, progress.goals, estimate, t
         )
         if grip is progress.grip and goals is progress.goals:
             return progress, events
@@ -351,14 +356,24 @@ def _still_tensioned(
     ]
 
 
-def _grip_plan(model: HandModel, phase: Hold) -> GripPlan:
-    """Return the grip that a hold phase requires, per tendon."""
+@functools.lru_cache(maxsize=8)
+def _grip_plan(
+    model: HandModel, stiffness_N_per_mm: float, slip_limit: float | tuple[tuple[str, float], ...] | None
+) -> GripPlan:
+    """Return the grip that a hold phase requires, per tendon.
+
+    Args:
+        model: the hand.
+        stiffness_N_per_mm: stiffness of the grip.
+        slip_limit: largest tension after slip [N], for all digits or by digit. None without a limit.
+    """
     limit = np.full(model.tendon_count, np.nan)
-    if phase.slip_limit_N is not None:
+    if slip_limit is not None:
+        given = dict(slip_limit) if isinstance(slip_limit, tuple) else slip_limit
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True):
-            value = value_for_digit(phase.slip_limit_N, name)
+            value = value_for_digit(given, name)
             limit[tendons] = math.nan if value is None else value
-    return GripPlan(1e3 * phase.stiffness_N_per_mm, limit)
+    return GripPlan(1e3 * stiffness_N_per_mm, limit)
 
 
 def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
@@ -396,6 +411,7 @@ def _curve_of_digit(phase: Follow, digit: DigitModel, estimate: Estimate) -> Cur
     return Curve.through(phase.time_s, np.array(points), count)
 
 
+@functools.lru_cache(maxsize=64)
 def blind_tip_force(model: HandModel, d: int) -> float:
     """Return the margin of digit d's tip force for estimated tensions without load cell [N], 0 with load cells."""
     digit = model.digits[d]

@@ -1,0 +1,31 @@
+"""The hash of the decisions: values are taken over from one tick to the next, and never wrongly."""
+
+import numpy as np
+import pytest
+
+from handctl.core.identity_cache import IdentityCache, SequenceCache
+from handctl.core.plain import plain_bytes
+
+
+def bytes_of(value: object) -> bytes:
+    return repr(value).encode()
+
+
+def test_values_of_same_objects_are_taken_over() -> None:
+    asked = []
+    cache = SequenceCache[object](lambda item: asked.append(item) or bytes_of(item))  # type: ignore[func-returns-value]
+    one, two, three = [1], [2], [3]
+    assert cache((one, two)) == [b"[1]", b"[2]"]
+    assert cache((one, three)) == [b"[1]", b"[3]"]
+    assert asked == [one, two, three]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_sequence_cache_gives_the_same_values_as_its_function(seed: int) -> None:
+    """Two controllers in one process share the cache, and their sequences have different lengths."""
+    draw = np.random.default_rng(seed)
+    items = [(i, float(i)) for i in range(6)] + [(1, 1), (True, 1.0)]
+    cache = SequenceCache[object](IdentityCache[object](plain_bytes))
+    for _ in range(200):
+        sequence = tuple(items[i] for i in draw.integers(0, len(items), draw.integers(0, 5)))
+        assert cache(sequence) == [plain_bytes(item) for item in sequence]
