@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from tests.runtime.kills import Judged, batches, summary
+from tests.runtime.kills import KillVerdict, batches, summary
 
 
 def main() -> int:
@@ -18,7 +18,7 @@ def main() -> int:
         help="ratio of simulated time to wall time, smaller for a busy machine (default: %(default)s)",
     )
     args = parser.parse_args()
-    runs: list[Judged] = []
+    runs: list[KillVerdict] = []
     for batch in batches(args.times, args.seed, args.time_scale):
         for run in batch:
             if not (run.safe and run.complete):

@@ -204,11 +204,11 @@ def mjcf_of(body: str, more: str = "") -> str:
 
 
 HINGE = '<joint name="j" range="0 90"/><inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
-SECOND = (
+SECOND_JOINT = (
     '<joint name="k" type="revolute"><parent link="a"/><child link="b"/><mimic joint="j"/></joint>'
     f'<link name="b">{MASS}</link>'
 )
-BAD = [
+BAD_DESCRIPTIONS = [
     ("--urdf", "a hand", "not XML: "),
     ("--urdf", mjcf_of(HINGE), "expected URDF, with the first element <robot>: give it with --mjcf"),
     ("--mjcf", urdf_of('type="revolute"'), "its first element is <robot>; expected MJCF"),
@@ -217,7 +217,7 @@ BAD = [
     ("--urdf", urdf_of('type="floating"'), "joint j is floating; expected revolute, continuous, fixed"),
     ("--urdf", urdf_of('type="prismatic"'), "joint j is prismatic; expected revolute"),
     ("--urdf", urdf_of('type="revolute"', ""), "expected a mass and an inertia for each link that moves"),
-    ("--urdf", urdf_of('type="revolute"', MASS, SECOND), "joint k mimics another; expected independent joints"),
+    ("--urdf", urdf_of('type="revolute"', MASS, SECOND_JOINT), "joint k mimics another; expected independent joints"),
     ("--urdf", urdf_of('type="revolute"'), "neither a frame nor a shape tells where its last link a ends"),
     ("--mjcf", mjcf_of('<freejoint/><geom size="0.01"/>'), "is a floating joint; expected hinges"),
     ("--mjcf", mjcf_of('<joint type="ball"/><geom size="0.01"/>'), "joint_1 is a ball joint; expected hinges"),
@@ -228,7 +228,7 @@ BAD = [
 """Descriptions that are no hand, and what the line says."""
 
 
-@pytest.mark.parametrize(("form", "text", "said"), BAD)
+@pytest.mark.parametrize(("form", "text", "said"), BAD_DESCRIPTIONS)
 def test_a_bad_description_is_one_line(
     place: Path, capsys: pytest.CaptureFixture[str], form: str, text: str, said: str
 ) -> None:

@@ -15,7 +15,7 @@ from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_content, load_hand
 from tests.hand.test_refusals import is_number, key_path_text, leaves, with_value
 
 BUS = "local:does-not-exist"
-ONE_OF = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
+STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class Literal(float):
@@ -25,7 +25,7 @@ class Literal(float):
         return "1e400"
 
 
-NEVER = {
+ALWAYS_WRONG = {
     "nan": float("nan"),
     "inf": float("inf"),
     "1e400": Literal("inf"),
@@ -34,7 +34,7 @@ NEVER = {
     "list": [[1.0]],
 }
 """Values that are wrong in the place of any number."""
-PERHAPS = {
+POSSIBLY_VALID = {
     "-0.0": lambda x: -0.0,
     "negative": lambda x: -abs(x),
     "x1000": lambda x: 1000 * x,
@@ -117,7 +117,7 @@ def cases():
     for name, (content, _) in FILES.items():
         for path, value in leaves(content):
             if is_number(value):
-                yield from ((name, path, kind) for kind in (*NEVER, *PERHAPS))
+                yield from ((name, path, kind) for kind in (*ALWAYS_WRONG, *POSSIBLY_VALID))
             if isinstance(path[-1], str):
                 yield from ((name, path, kind) for kind in KEYS)
 
@@ -135,7 +135,7 @@ def text_with_mistake(content, path, kind):
     old = content
     for key in path:
         old = old[key]
-    return text_of(with_value(content, path, NEVER[kind] if kind in NEVER else PERHAPS[kind](old)))
+    return text_of(with_value(content, path, ALWAYS_WRONG[kind] if kind in ALWAYS_WRONG else POSSIBLY_VALID[kind](old)))
 
 
 class OpenedError(Exception):
@@ -176,7 +176,7 @@ def test_unchanged_hand_file_is_accepted(place, capsys, name):
     assert refusal(capsys, option, "file.toml") == ""
 
 
-@pytest.mark.parametrize(("name", "path", "kind"), ALL[::ONE_OF], ids=lambda x: str(x) if isinstance(x, str) else None)
+@pytest.mark.parametrize(("name", "path", "kind"), ALL[::STEP], ids=lambda x: str(x) if isinstance(x, str) else None)
 def test_every_wrong_key_is_refused(place, capsys, name, path, kind):
     content, option = FILES[name]
     (place / "file.toml").write_text(text_with_mistake(content, path, kind))
@@ -184,7 +184,7 @@ def test_every_wrong_key_is_refused(place, capsys, name, path, kind):
     if kind == "twice":
         assert "file.toml" in line
         assert "TOML" in line
-    elif kind in NEVER or kind == "renamed":
+    elif kind in ALWAYS_WRONG or kind == "renamed":
         assert "file.toml: " in line, "refused"
         spoken = (
             key_path_text(without(content, path), path[:-1])

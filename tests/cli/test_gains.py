@@ -112,7 +112,7 @@ def test_rollback_changes_diff_and_log(twice_changed_hand, capsys):
         (["rollback"], "nothing was applied"),
     ],
 )
-def test_mistakes_are_one_line_and_exit_2(words, said, capsys):
+def test_mistakes_give_one_line_and_exit_code_2(words, said, capsys):
     assert main(["gains", *words]) == 2
     error = capsys.readouterr().err
     assert said in error

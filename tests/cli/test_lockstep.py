@@ -45,23 +45,23 @@ def run_demos(folder, *hands, task=""):
 
 
 @pytest.fixture(scope="module")
-def twins(tmp_path_factory):
+def equal_demos(tmp_path_factory):
     """Return two equal demos: a short motion in ordinary runs, a grasp in nightly runs."""
     return run_demos(
-        tmp_path_factory.mktemp("twins"), "jamia", "jamia", task="" if NIGHTLY else SHORT
+        tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT
     )
 
 
 @pytest.fixture(scope="module")
-def four(tmp_path_factory):
+def default_demo(tmp_path_factory):
     """Return the demo with the default hand."""
-    return run_demos(tmp_path_factory.mktemp("four"), "jamia")[0]
+    return run_demos(tmp_path_factory.mktemp("default_demo"), "jamia")[0]
 
 
 @pytest.fixture(scope="module")
-def eleven(tmp_path_factory):
+def jamia11_demo(tmp_path_factory):
     """Return the demo of the hand with one motor per joint."""
-    return run_demos(tmp_path_factory.mktemp("eleven"), "jamia11")[0]
+    return run_demos(tmp_path_factory.mktemp("jamia11_demo"), "jamia11")[0]
 
 
 def messages_of(path):
@@ -75,29 +75,29 @@ FILES = {"run.mcap", "run.truth", "run.png", "run.commission.mcap", "run.calibra
 
 
 @pytest.mark.parametrize("name", sorted(FILES))
-def test_two_runs_write_the_same_bytes(twins, name):
-    (first, _), (second, _) = twins
+def test_two_runs_write_the_same_bytes(equal_demos, name):
+    (first, _), (second, _) = equal_demos
     one, other = (first / name).read_bytes(), (second / name).read_bytes()
     assert len(one) == len(other)
     differ = [i for i, (a, b) in enumerate(zip(one, other, strict=True)) if a != b] if one != other else []
     assert not differ, f"{len(differ)} bytes differ, the first at {differ[0]}"
 
 
-def test_lockstep_demo_writes_exactly_its_files(twins):
-    for place, _ in twins:
+def test_lockstep_demo_writes_exactly_its_files(equal_demos):
+    for place, _ in equal_demos:
         assert {path.name for path in place.iterdir()} == FILES
-    assert len(messages_of(twins[0][0] / "run.mcap")) > (50_000 if NIGHTLY else 10_000)
+    assert len(messages_of(equal_demos[0][0] / "run.mcap")) > (50_000 if NIGHTLY else 10_000)
 
 
-def test_two_lockstep_runs_print_the_same(twins):
-    (_, one), (_, other) = twins
+def test_two_lockstep_runs_print_equal_results(equal_demos):
+    (_, one), (_, other) = equal_demos
     wall = ("wall_s", "times_real_time")
     assert {key: value for key, value in one.items() if key not in wall} == {
         key: value for key, value in other.items() if key not in wall
     }
 
 
-def keeps_its_promises(result):
+def meets_requirements(result):
     assert result.keys() >= KEYS
     assert result["late_us"].keys() >= {"p50", "p99_9", "max"}
     assert (result["missed"], result["frames_late"], result["frames_lost"], result["failure"]) == (0, 0, 0, "")
@@ -112,22 +112,22 @@ def keeps_its_promises(result):
 
 
 @pytest.mark.nightly
-def test_the_demo_meets_its_requirements(four):
+def test_the_demo_meets_its_requirements(default_demo):
     """jamia11 is tested in tests/cli/test_seeds.py."""
-    result = four[1]
-    keeps_its_promises(result)
+    result = default_demo[1]
+    meets_requirements(result)
     assert result["tension_rmse_n"] < result["tension_raw_rmse_n"]
 
 
 @pytest.mark.nightly
-def test_the_demo_with_one_motor_per_joint_meets_its_requirements(eleven):
-    result = eleven[1]
-    keeps_its_promises(result)
+def test_the_demo_with_one_motor_per_joint_meets_its_requirements(jamia11_demo):
+    result = jamia11_demo[1]
+    meets_requirements(result)
     assert result["tension_rmse_n"] < 1.0
 
 
-def test_ros_reads_every_message(twins):
-    path = twins[0][0] / "run.mcap"
+def test_ros_reads_every_message(equal_demos):
+    path = equal_demos[0][0] / "run.mcap"
     with AnyReader([path]) as reader:
         seen = 0
         for connection, _, raw in reader.messages():
@@ -136,23 +136,23 @@ def test_ros_reads_every_message(twins):
     assert seen == len(messages_of(path))
 
 
-def test_rerun_finds_the_moving_hand(twins):
-    chunks = rerun.chunk.McapReader(twins[0][0] / "run.mcap").stream().to_chunks()
+def test_rerun_finds_the_moving_hand(equal_demos):
+    chunks = rerun.chunk.McapReader(equal_demos[0][0] / "run.mcap").stream().to_chunks()
     paths = {str(chunk.entity_path) for chunk in chunks}
     assert "/tf" in paths
     assert any("joint_states" in path for path in paths)
 
 
-def test_a_report_aligns_the_log_with_the_truth_file(twins, capsys):
-    place, result = twins[0]
+def test_a_report_aligns_the_log_with_the_truth_file(equal_demos, capsys):
+    place, result = equal_demos[0]
     words = ("--truth", str(place / "run.truth"), "--output", str(place / "page.html"))
     assert main(["report", str(place / "run.mcap"), *words]) == 0
     tension = f"{result['tension_rmse_n']:.2f} N rms"
     assert tension in (place / "page.html").read_text()
 
 
-def test_the_log_is_complete_and_has_every_tick(twins):
-    place, result = twins[0]
+def test_the_log_is_complete_and_has_every_tick(equal_demos):
+    place, result = equal_demos[0]
     with RunLog(place / "run.mcap") as run:
         assert not run.warning
         assert not run.gaps

@@ -51,14 +51,14 @@ def hear(bus, for_s, seen):
     seen += bus.drain()
 
 
-def scanned(*specs, talk=(), force=False, fault="") -> tuple[Scan, Bench, BenchBus]:
+def scan_bench(*specs, talk=(), force=False, fault="") -> tuple[Scan, Bench, BenchBus]:
     bench = Bench([drive_spec(*spec) for spec in specs], fault=fault)
     bus = BenchBus(bench, talk)
     return scan_bus(bus, force, listen=hear), bench, bus
 
 
 def test_damiao_and_canopen_drives_are_found_on_one_bus():
-    result, bench, _ = scanned(("mit", 1, "dm4310"), ("mit", 9, "dm4340", True), ("cia402", 33))
+    result, bench, _ = scan_bench(("mit", 1, "dm4310"), ("mit", 9, "dm4340", True), ("cia402", 33))
     assert [(node.protocol, node.node_id) for node in result.found] == [("mit", 1), ("mit", 9), ("cia402", 33)]
     first, second, _ = result.found
     assert first.settings == {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "torque_max_N_m": 10.0}
@@ -70,7 +70,7 @@ def test_damiao_and_canopen_drives_are_found_on_one_bus():
 
 
 def test_moteus_controllers_are_found_by_classical_frames():
-    result, bench, bus = scanned(("moteus", 1), ("moteus", 17), ("mit", 3))
+    result, bench, bus = scan_bench(("moteus", 1), ("moteus", 17), ("mit", 3))
     assert [(node.protocol, node.node_id) for node in result.found] == [("mit", 3), ("moteus", 1), ("moteus", 17)]
     first, second = result.found[1:]
     assert (first.firmware, first.state, first.error, first.twins) == ("1.0.1", "stopped", "", False)
@@ -81,7 +81,7 @@ def test_moteus_controllers_are_found_by_classical_frames():
 
 
 def test_robstride_motors_are_found_by_their_identity():
-    result, bench, bus = scanned(("robstride", 1), ("robstride", 0x7F), ("mit", 3), ("moteus", 5))
+    result, bench, bus = scan_bench(("robstride", 1), ("robstride", 0x7F), ("mit", 3), ("moteus", 5))
     found = [(node.protocol, node.node_id) for node in result.found]
     assert found == [("mit", 3), ("moteus", 5), ("robstride", 1), ("robstride", 0x7F)]
     assert [node.serial for node in result.found[2:]] == ["5253050000000001", "525305000000007f"]
@@ -99,7 +99,7 @@ def test_two_drives_with_one_number_are_named(protocol):
 
 @pytest.mark.parametrize("kind", [1, 3, 4, 6, 0x12])
 def test_scan_only_listens_if_another_robstride_host_is_active(kind):
-    result, _, bus = scanned(("robstride", 1), talk=[Frame(EXTENDED | kind << 24 | 0xFD01, bytes(8))])
+    result, _, bus = scan_bench(("robstride", 1), talk=[Frame(EXTENDED | kind << 24 | 0xFD01, bytes(8))])
     assert result.foreign
     assert bus.heard == []
 
@@ -119,13 +119,13 @@ def test_scan_does_not_change_an_enabled_moteus_or_robstride():
 
 
 def test_scan_only_listens_if_another_moteus_host_is_active():
-    result, _, bus = scanned(("moteus", 1), talk=[Frame(EXTENDED | 0x8101, b"\x11\x00")])
+    result, _, bus = scan_bench(("moteus", 1), talk=[Frame(EXTENDED | 0x8101, b"\x11\x00")])
     assert result.foreign
     assert bus.heard == []
 
 
 def test_scan_sends_no_frame_that_an_odrive_would_obey():
-    result, bench, bus = scanned(("odrive", 3), ("odrive", 48), ("mit", 1))
+    result, bench, bus = scan_bench(("odrive", 3), ("odrive", 48), ("mit", 1))
     assert [(node.protocol, node.node_id) for node in result.found] == [("odrive", 3), ("odrive", 48)]
     drive = result.found[0]
     assert (drive.firmware, drive.serial, drive.state) == ("0.6.10", "0D5A11000003", "idle")
@@ -148,16 +148,16 @@ def test_an_enabled_drive_stays_as_it_is():
     [Frame(0x001, bytes(8)), Frame(0x080, b"\1"), Frame(0x7FF, bytes(8)), Frame(0x77F, b"\5"), Frame(0, b"\1\0")],
 )
 def test_scan_only_listens_if_another_host_is_active(talk):
-    result, _, bus = scanned(("mit", 1), talk=[talk])
+    result, _, bus = scan_bench(("mit", 1), talk=[talk])
     assert result.foreign
     assert bus.heard == []
-    assert scanned(("mit", 1), talk=[talk], force=True)[0].found
+    assert scan_bench(("mit", 1), talk=[talk], force=True)[0].found
 
 
 def test_scan_reports_no_firmware_if_another_host_is_active():
     """Regression: an ODrive 0.6 without a reply was reported as firmware 0.5."""
     request = Frame(3 << 5 | 0x09 | REMOTE, b"")
-    result, _, bus = scanned(("odrive", 3), talk=[request])
+    result, _, bus = scan_bench(("odrive", 3), talk=[request])
     assert bus.heard == []
     (drive,) = result.found
     assert (drive.firmware, drive.options, drive.origins) == ("", {}, {})
@@ -166,7 +166,7 @@ def test_scan_reports_no_firmware_if_another_host_is_active():
 
 
 def test_the_hand_file_part_marks_firmware_05_as_concluded():
-    result, _, _ = scanned(("odrive", 3, "", False, None, "0.5"))
+    result, _, _ = scan_bench(("odrive", 3, "", False, None, "0.5"))
     (drive,) = result.found
     assert drive.options == {"firmware": "0.5"}
     assert 'firmware = "0.5"    # concluded: no answer to Get_Version' in hand_file_snippet(
@@ -178,9 +178,9 @@ def test_the_hand_file_part_marks_firmware_05_as_concluded():
     "spec", [("mit", 5), ("cia402", 33), ("odrive", 3), ("odrive", 3, "", False, None, "0.5")], ids=str
 )
 def test_two_drives_with_one_number_are_found(spec):
-    (alone,) = scanned(spec)[0].found
+    (alone,) = scan_bench(spec)[0].found
     assert (alone.twins, TWO_DRIVES_WARNING in alone.notes) == (False, False)
-    (drive,) = scanned(spec, fault="twin")[0].found
+    (drive,) = scan_bench(spec, fault="twin")[0].found
     assert (drive.twins, drive.notes[0]) == (True, TWO_DRIVES_WARNING)
 
 
@@ -192,7 +192,7 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     """A DM-J8009 reports 54 N m. The fragment has the largest permitted torque and a comment."""
-    result, _, _ = scanned(("mit", 1, "dm8009"))
+    result, _, _ = scan_bench(("mit", 1, "dm8009"))
     text = hand_file_snippet({"a": result.found}, 1_000_000, None)
     assert "torque_max_N_m = 50.0    # the drive reports 54, a hand file takes at most 50" in text
 
@@ -219,7 +219,7 @@ def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
 
 
 def test_unrequested_frames_of_an_odrive_are_no_other_host():
-    result, _, _ = scanned(("odrive", 0), ("odrive", 4))
+    result, _, _ = scan_bench(("odrive", 0), ("odrive", 4))
     assert result.foreign == ()
     assert [node.node_id for node in result.found] == [0, 4]
 

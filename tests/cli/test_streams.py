@@ -47,10 +47,10 @@ def test_output_without_a_reader_is_no_error(verb):
 
 
 def test_progress_without_a_reader_does_not_end_the_verb(monkeypatch):
-    def gone(text):
+    def raise_broken_pipe(text):
         raise BrokenPipeError
 
-    monkeypatch.setattr("sys.stderr.write", gone)
+    monkeypatch.setattr("sys.stderr.write", raise_broken_pipe)
     console = rich_console(error=True)
     console.print("half of it")
     console.print("the rest")

@@ -70,7 +70,7 @@ def scored(tracking):
     return Score(tracking, 2.0, 3.0, 60.0, 0.0)
 
 
-def test_a_column_is_worse_only_beyond_its_spread():
+def test_a_measure_is_worse_only_beyond_its_spread():
     from handctl.tune.verify import compare_rounds
 
     runs = [[scored(1.0), scored(1.0 + 0.01 * i), *[scored(3.0 + 0.01 * i)] * 3] for i in range(3)]
@@ -156,7 +156,7 @@ def test_a_dry_run_writes_nothing_and_answers_in_json(place, capsys, words):
 
 
 @pytest.mark.parametrize("words", [(), ("--from-log", GOLDEN, "--lockstep"), ("--lockstep", "--bus", "local:nobody")])
-def test_an_identification_has_one_source(capsys, words):
+def test_an_identification_refuses_two_sources(capsys, words):
     assert "expected one of them" in refused(capsys, "identify", *words)
 
 
@@ -178,7 +178,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(place, capsys, 
     assert json.loads(capsys.readouterr().out)["calibration"] == own.name
 
 
-def found_of(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
+def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
     """Return a fit of a tendon, with the contact that its digit had during the excitation."""
     from handctl.tune.identify.fit import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
@@ -191,7 +191,7 @@ def found_of(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
     return TendonResult(SimpleNamespace(digit=digit), fit, judged, 1.0, spectrum, blocked=blocked, contact=met)
 
 
-def _identifies(monkeypatch, made, found):
+def _replace_identification(monkeypatch, made, found):
     """Make ``handctl identify --lockstep`` return given values."""
     outcome = SimpleNamespace(refuse_unfinished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
@@ -208,8 +208,8 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys,
     rows = dict.fromkeys(hand.tendon_names, nothing)
     made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
     names, why = ("tendon_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
-    found = {"middle_tendon": found_of("middle", 9e4, met=why, names=names)}
-    _identifies(monkeypatch, made, found)
+    found = {"middle_tendon": result_of_digit("middle", 9e4, met=why, names=names)}
+    _replace_identification(monkeypatch, made, found)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "not kept" in line]
     begin = f"handctl: springs and friction of middle are not kept: {why}; expected a digit"
@@ -227,12 +227,13 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
     made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
-    before = made.model_copy(update={"identified": {"index_tendon": found_of("index", 9e4).identified(Path("a"), "t")}})
+    entry = result_of_digit("index", 9e4).identified(Path("a"), "t")
+    before = made.model_copy(update={"identified": {"index_tendon": entry}})
     write_calibration(path, before)
     known = path.read_bytes()
-    found = {f"{name}_tendon": found_of(name, 8e4) for name in others}
-    found["index_tendon"] = found_of("index", 3.05e5, "middle is blocked: 7.0 N at 3.1 s, in its sweep")
-    _identifies(monkeypatch, made, found)
+    found = {f"{name}_tendon": result_of_digit(name, 8e4) for name in others}
+    found["index_tendon"] = result_of_digit("index", 3.05e5, "middle is blocked: 7.0 N at 3.1 s, in its sweep")
+    _replace_identification(monkeypatch, made, found)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     said = capsys.readouterr()
     assert "no parameters of index are kept: middle is blocked" in said.err
@@ -346,7 +347,7 @@ def next_command(out):
     return shlex.split(line)[2:]
 
 
-def test_commands_to_go_on_with_repeat_the_options_of_the_same_hand(capsys):
+def test_the_printed_next_command_has_the_options_of_the_same_hand(capsys):
     from handctl.cli.tuning.identify import _search_command
     from handctl.cli.tuning.tune_files import verify_command
 
@@ -371,7 +372,7 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
 
 
 @pytest.mark.nightly
-def test_what_was_identified_in_lockstep_is_tuned_verified_and_applied_in_lockstep(place, capsys):
+def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_lockstep(place, capsys):
     """Each command is the next command that the previous verb has printed, with fewer trials."""
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0

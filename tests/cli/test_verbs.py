@@ -99,7 +99,7 @@ def test_a_dry_run_opens_and_writes_nothing(place, capsys, verb):
     assert not any(os.scandir(os.environ["HANDCTL_RUN_DIR"]))
 
 
-def test_a_dry_run_of_gains_tells_them(place, capsys):
+def test_a_dry_run_prints_the_gains(place, capsys):
     Path("new.toml").write_text("schema = 1\n[motion]\nforce_N = 14\n")
     code, said = json_output(capsys, "tune", "verify", "new.toml", "--lockstep", "--dry-run")
     assert (code, said["gains"]) == (0, "new.toml")
@@ -135,7 +135,7 @@ def test_log_info_counts_the_ticks_of_a_complete_log(log, capsys):
     assert "3000" in capsys.readouterr().out
 
 
-def test_a_cut_log_is_said_to_be_cut_and_recovered(log, place, capsys):
+def test_a_truncated_log_is_reported_and_recovered(log, place, capsys):
     data = log.read_bytes()
     (place / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
     code, said = json_output(capsys, "log", "info", "cut.mcap")
@@ -148,7 +148,7 @@ def test_a_cut_log_is_said_to_be_cut_and_recovered(log, place, capsys):
         assert len(whole) == said["ticks"]
 
 
-def test_recovering_a_whole_log_gives_the_same(log, place, capsys):
+def test_a_complete_log_is_recovered_unchanged(log, place, capsys):
     shutil.copy(log, "run.mcap")
     code, found = json_output(capsys, "log", "recover", "run.mcap", "--output", "new.mcap")
     assert (code, found["status"], found["lost"]) == (0, "whole", [])
@@ -156,7 +156,7 @@ def test_recovering_a_whole_log_gives_the_same(log, place, capsys):
         assert np.array_equal(old.times, new.times)
 
 
-def test_a_log_that_broke_off_before_its_first_chunk_holds_nothing(log, place, capsys):
+def test_a_log_cut_before_its_first_chunk_cannot_be_recovered(log, place, capsys):
     (place / "head.mcap").write_bytes(log.read_bytes()[:64])
     code, found = json_output(capsys, "log", "recover", "head.mcap")
     assert (code, found["status"]) == (1, "nothing")

@@ -94,7 +94,7 @@ def test_replaced_drive_is_named_before_arming(place):
         one.peer.close()
 
 
-def test_a_log_says_whose_it_was_and_repeats(place, capsys):
+def test_a_log_names_its_drives_and_repeats(place, capsys):
     bench = Bench(place, "jamia", SECOND)
     calibration = bench.commission("made")
     bench.jog(calibration.model_copy(update={"drive": dict.fromkeys(calibration.drive, "0x1")}), "refused")
@@ -104,7 +104,7 @@ def test_a_log_says_whose_it_was_and_repeats(place, capsys):
     assert json.loads(capsys.readouterr().out)["differing"] == 0
 
 
-def test_a_file_of_an_earlier_version_is_taken_with_one_line(place, capsys):
+def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(place, capsys):
     bench = Bench(place, "jamia")
     calibration = bench.commission("made").model_copy(update={"drive": {}})
     path = place / "old.toml"

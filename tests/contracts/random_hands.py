@@ -35,10 +35,10 @@ FREE_TICKS = 10
 
 Before, the hand is kept active.
 """
-LOST, DOUBLE, BROKEN, SKIPPED = 0.03, 0.02, 0.02, 0.03
+LOST_FRACTION, DUPLICATE_FRACTION, CORRUPT_FRACTION, SKIPPED_FRACTION = 0.03, 0.02, 0.02, 0.03
 """Fractions of frames that are lost, duplicate or corrupt, and fraction of ticks that are skipped."""
 BUSES, ON_A_BUS = ("main", "second"), 12
-CARRIED = 0.3
+CARRIED_FRACTION = 0.3
 """Fraction of digits that the digit before carries."""
 Random = np.random.Generator
 
@@ -58,7 +58,7 @@ def random_hand(tendons: int, random: Random) -> Hand:
         kinds = [arms for arms in _arms(digit_joints, radii) if len(arms) <= left]
         arms = kinds[int(random.integers(len(kinds)))]
         digits.append(_digit(finger, name, size, len(arms) == 1 < size, random))
-        if len(digits) > 1 and random.random() < CARRIED:
+        if len(digits) > 1 and random.random() < CARRIED_FRACTION:
             # The tendons pass a joint of the carrier at a distance from its axis.
             carrier = digits[-2]["name"]
             digits[-1]["mount_on"] = carrier
@@ -139,7 +139,7 @@ def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> by
             value = float(value[signal.channel])
         values.append(value)
     data = Table(message).pack(*values)
-    return random.bytes(len(data)) if random.random() < BROKEN else data
+    return random.bytes(len(data)) if random.random() < CORRUPT_FRACTION else data
 
 
 class RandomHand:
@@ -182,13 +182,13 @@ class RandomHand:
         sensors = self.controller.sensors
         counter = self.state.whole(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
-            late = random.random() < BROKEN
+            late = random.random() < CORRUPT_FRACTION
             given = {Quantity.COUNTER: counter ^ late, Quantity.TENSION: self.tension, Quantity.ANGLE: self.angle}
             messages += [(message, sensors.bus, given)]
         out = []
         for message, bus, given in messages:
             chance = random.random()
-            for _ in range(0 if chance < LOST else 2 if chance < LOST + DOUBLE else 1):
+            for _ in range(0 if chance < LOST_FRACTION else 2 if chance < LOST_FRACTION + DUPLICATE_FRACTION else 1):
                 data = _payload(message, given, random)
                 out.append(Frame(message.can_id, data, message.flags, bus, t_ns - int(random.integers(1_000_000))))
         if random.random() < 0.1:
@@ -213,7 +213,7 @@ class RandomHand:
             if i < TICKS - FREE_TICKS:
                 self.state.mode = Mode.ACTIVE
                 self.state.decide(latched=())
-            k += 1 if self.random.random() > SKIPPED else int(self.random.integers(2, 5))
+            k += 1 if self.random.random() > SKIPPED_FRACTION else int(self.random.integers(2, 5))
             t_ns = k * self.period_ns
             entry = TickIn(k, t_ns, int(self.random.integers(1_000_000)), self.frames(t_ns), (), self.requests(i))
             self.state, out = self.controller.tick(self.state, entry)

@@ -22,13 +22,13 @@ def test_the_stages_select_what_the_makefile_selects() -> None:
 
 
 @pytest.mark.parametrize(("text", "expected"), [("@pytest.mark.alone\n", True), ("x = 'realtime'\n", False)])
-def test_files_are_told_apart_by_their_marks(tmp_path: Path, text: str, expected: bool) -> None:
+def test_files_are_distinguished_by_their_markers(tmp_path: Path, text: str, expected: bool) -> None:
     path = tmp_path / "test_one.py"
     path.write_text(text)
     assert conftest.has_clock_tests(path) is expected
 
 
-def test_all_files_that_the_guests_run_are_taken_in() -> None:
+def test_all_files_that_the_guests_run_are_collected() -> None:
     assert all(conftest.has_clock_tests(path) for path in conftest.MARKED_FOLDER.rglob("test_*.py"))
 
 

@@ -229,7 +229,7 @@ def test_without_a_writable_cache_each_process_compiles(copy: Path, tmp_path: Pa
     assert not stored or (kind == "read-only" and os.geteuid() == 0), "root writes everywhere"
 
 
-class Origins:
+class KernelSources:
     """Modules of this package whose text can change a kernel: they define its names, directly or indirectly."""
 
     def __init__(self) -> None:
@@ -292,7 +292,7 @@ def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
     """Check that the cache folder depends on every module with code of a kernel."""
     kernels = [function for function in MARKED if function.__module__.startswith("handctl.")]
     assert len(kernels) > 100
-    origins = Origins()
+    origins = KernelSources()
     for function in kernels:
         origins.follow(function.__module__, function.__name__)
     assert {"handctl.core.schema", "handctl.safety.faults.tendon", "handctl.drives.records"} <= origins.modules

@@ -65,7 +65,7 @@ def test_every_row_has_its_visibility_in_each_protocol() -> None:
             assert why or verdict == DETECTED, f"{entry.id}: replaced by what, or lost why?"
 
 
-def test_every_row_is_tried() -> None:
+def test_every_fault_is_injected_or_has_a_reason() -> None:
     campaign = {row.id for row in MATRIX}
     for entry in CATALOGUE:
         if entry.tested == "campaign":
@@ -107,7 +107,7 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
         assert bool(entry.why) == bool(needs_why), f"{entry.id}: a reason where it takes longer, and only there"
 
 
-def test_the_pages_are_the_code_s() -> None:
+def test_the_pages_agree_with_the_code() -> None:
     evidence = (ROOT / "docs" / "evidence" / "faults.md").read_text()
     assert catalogue_markdown() in evidence
     assert late_rows() in evidence

@@ -45,7 +45,7 @@ def tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_it_counts_names_docstrings_and_shape(language: ModuleType, tree: Path) -> None:
+def test_the_script_counts_names_docstrings_and_shape(language: ModuleType, tree: Path) -> None:
     tally = language.count_all(tree)["src"]
     counted = {count: tally.counts[count] for count in language.PER}
     assert counted == {
@@ -70,7 +70,7 @@ def test_quoted_code_of_a_document_is_no_prose(language: ModuleType, tree: Path)
     assert (tally.counts["what"], tally.counts["ropes"], tally.counts["semicolons"]) == (1, 1, 1)
 
 
-def test_a_count_above_its_limit_is_a_line_and_limits_only_fall(language: ModuleType, tree: Path) -> None:
+def test_a_count_above_its_limit_is_reported_and_limits_are_only_lowered(language: ModuleType, tree: Path) -> None:
     before = language.count_all(tree)
     limits = language.lowered_limits(before, {})
     assert list(language.excesses(before, limits)) == []

@@ -10,8 +10,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 LOOP = Path("src/handctl/runtime/loop.py")
 LOCKS = ("requirements.lock", "requirements-demo.lock", "requirements-dev.lock", "requirements-extra.lock")
-BROAD = {"Exception", "BaseException"}
-OURS = {"handctl", "firmware_sim", "tests", "fuzz", "benchmarks"}
+BROAD_EXCEPTIONS = {"Exception", "BaseException"}
+OWN_PACKAGES = {"handctl", "firmware_sim", "tests", "fuzz", "benchmarks"}
 
 
 def sources(*folders: str) -> list[Path]:
@@ -27,10 +27,10 @@ def broad_handlers(source: str) -> Iterator[int]:
             case ast.ExceptHandler(type=None):
                 yield node.lineno
             case ast.ExceptHandler(type=caught):
-                if BROAD & names(caught):
+                if BROAD_EXCEPTIONS & names(caught):
                     yield node.lineno
             case ast.Call(func=ast.Name(id="suppress") | ast.Attribute(attr="suppress"), args=caught):
-                if BROAD & set().union(*map(names, caught)):
+                if BROAD_EXCEPTIONS & set().union(*map(names, caught)):
                     yield node.lineno
 
 
@@ -62,7 +62,7 @@ def test_only_the_loop_catches_all_exceptions_and_once() -> None:
         assert len(lines) <= allowed, f"{path.relative_to(ROOT)} catches everything in lines {lines}"
 
 
-def test_a_controller_meets_the_simulator_in_one_place() -> None:
+def test_only_one_module_builds_the_simulated_hand() -> None:
     """Check that only ``session.simulate`` builds the simulated hand in lockstep."""
     builders = {
         str(path.relative_to(ROOT))
@@ -118,5 +118,5 @@ def named(module: str) -> set[str]:
 @pytest.mark.parametrize("path", sources("fuzz", "benchmarks"), ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_names_imported_by_fuzz_and_benchmarks_exist(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in OURS:
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in OWN_PACKAGES:
             assert {alias.name for alias in node.names} <= named(node.module), node.module

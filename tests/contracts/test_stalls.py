@@ -9,7 +9,7 @@ import pytest
 from tests.stalls import StallMeter
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
-AGAIN = """
+REPEATED_TEST = """
 import os, signal, time
 import pytest
 from tests.conftest import SLOWER
@@ -48,8 +48,8 @@ def test_a_stall_of_one_core_is_seen_once() -> None:
     assert not any(os.path.exists(f"/proc/{pid}") for pid in meter.pids)
 
 
-def test_a_test_is_repeated_after_a_stall_alone(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytester.makepyfile(test_clock=AGAIN)
+def test_a_test_is_repeated_only_after_a_stall(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytester.makepyfile(test_clock=REPEATED_TEST)
     pytester.makeconftest("from tests.conftest import *")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(("", os.getcwd())))
     result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "-o", "markers=realtime")

@@ -86,7 +86,7 @@ def test_the_programs_of_a_page_run(page: str) -> None:
 @pytest.mark.alone
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
-def test_the_uses_in_the_readme_run() -> None:
+def test_the_commands_of_the_readme_run() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Four uses")[2].partition("\n## ")[0]
     lines = re.findall(r"^handctl [^#\n]+", text, re.MULTILINE)
     simulators = [line.strip() for line in lines if line.startswith("handctl sim")]

@@ -44,7 +44,7 @@ def report():
     )  # fmt: skip
 
 
-def test_a_load_cell_fails_only_where_one_is():
+def test_only_existing_load_cells_fail():
     """Regression: the campaign requested a saturated load cell for a spool pair, and ended with a traceback."""
     for hand in (on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
@@ -86,7 +86,7 @@ def test_fault_free_run_alone_continues_its_seeds():
     assert (seeds, report.all_results, report.simulated_s) == ([(500, 30.0, 76)], [], 30.0)
 
 
-def undisturbed(phase, *texts):
+def alarms_of_run(phase, *texts):
     """Return the alarms of a hand that is in one phase for eight seconds and reports faults in each second."""
     events = tuple(Event("warn", "fault", "", text) for text in texts)
     out = SimpleNamespace(mode=Mode.ACTIVE, phase=phase, events=events)
@@ -108,11 +108,11 @@ def undisturbed(phase, *texts):
         return campaign.run_fault_free(hand_with_protocol("jamia", "mit"), 1.0, 9.0, seed=5)
 
 
-def test_an_undisturbed_hand_that_holds_or_does_not_grasp_is_a_false_alarm():
-    assert undisturbed("hold") == []
-    assert undisturbed("hold", "B01 lost: index_motor (1): WARN") == []
-    assert undisturbed("hold", "N07 noise: index_motor (1): HOLD") == ["N07 noise: index_motor (1): HOLD"] * 9
-    assert undisturbed("ready") == ["seed 5 did not reach a grasp: ready"]
+def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
+    assert alarms_of_run("hold") == []
+    assert alarms_of_run("hold", "B01 lost: index_motor (1): WARN") == []
+    assert alarms_of_run("hold", "N07 noise: index_motor (1): HOLD") == ["N07 noise: index_motor (1): HOLD"] * 9
+    assert alarms_of_run("ready") == ["seed 5 did not reach a grasp: ready"]
 
 
 @pytest.mark.timeout(120)
@@ -169,7 +169,7 @@ def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
         assert np.degrees(speed).max() > 10.0
 
 
-def test_a_load_cell_is_set_off_by_more_than_its_tendon_s_limit():
+def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
     hand = hand_with_protocol("jamia", "mit")
     thumb = hand.tendon[-1].model_copy(update={"tension_trip_N": 90.0, "drive_limit_N": 95.5})
     other = hand.model_copy(update={"tendon": (*hand.tendon[:-1], thumb)})
@@ -267,7 +267,7 @@ def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand", ["jamia", "jamia11", "jamia_bench"])
-def test_the_quick_sample_whatever_the_seed(hand: str, seed: int):
+def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
     protocol = ALL_PROTOCOLS[seed % len(ALL_PROTOCOLS)]
     report = campaign.run_campaign(
         hand, [protocol], default_rate, jobs=2, quick=True, fault_free_s=4.0, seed=seed,

@@ -45,7 +45,7 @@ class Instant(NamedTuple):
     speed: np.ndarray
 
 
-def look(simulation: Simulation) -> Instant:
+def observe_instant(simulation: Simulation) -> Instant:
     peer: Any = simulation.peer
     spool = simulation.controller.model.space.spool
     motors = [peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor]
@@ -83,16 +83,16 @@ def test_relaxing_raises_no_command_and_no_tension(hand_name: str, protocol: str
         if fault:
             simulation.peer.inject(fault)
         stop_at = simulation.k + int(chance.uniform(0.02, 0.8) * rate)
-        judge(simulation, stop_at, round(WINDOW_S * rate), fault)
+        check_relaxing(simulation, stop_at, round(WINDOW_S * rate), fault)
 
 
-def judge(simulation: Simulation, stop_at: int, window: int, fault: str) -> None:
-    recent: list[Instant] = [look(simulation)]
+def check_relaxing(simulation: Simulation, stop_at: int, window: int, fault: str) -> None:
+    recent: list[Instant] = [observe_instant(simulation)]
     # Earlier commands are included, because a motor with delay may execute them after the decision.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == Mode.ACTIVE:
         simulation.tick(requests=(STOP,) if simulation.k == stop_at else ())
-        recent.append(look(simulation))
+        recent.append(observe_instant(simulation))
         commanded.append(simulation.state.view("asked").copy())
     decided = recent[-2]
     before = np.nanmax([*(one.force for one in recent[-window:]), *commanded[-window - 1 : -1]], axis=0)
@@ -109,7 +109,7 @@ def judge(simulation: Simulation, stop_at: int, window: int, fault: str) -> None
             rises = command > np.maximum(last, 0.0)
             assert not rises.any(), f"{fault}: {command} after {last}"
         last = command
-        now = look(simulation)
+        now = observe_instant(simulation)
         peak = np.maximum(peak, now.tension)
         force = np.maximum(force, now.force)
     # No drive makes more force than before the decision. This holds also if it makes more than its

@@ -104,7 +104,7 @@ def test_each_factor_changes_only_its_parameters(
     assert changed_fields(hand.sensors, other.sensors) == sensors
 
 
-def test_the_table_above_has_every_key() -> None:
+def test_every_perturbation_key_is_tested() -> None:
     (mark,) = test_each_factor_changes_only_its_parameters.pytestmark  # type: ignore[attr-defined]
     assert {row[0] for row in mark.args[1]} == set(KEYS)
 

@@ -135,7 +135,7 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     assert numbers(read_all(idle)) == [(total, hub.dropped % 65536)]
 
 
-def test_half_a_record_is_finished_before_the_next(hub: Hub, client: Callable[[], socket.socket]) -> None:
+def test_an_incomplete_record_is_completed_before_the_next(hub: Hub, client: Callable[[], socket.socket]) -> None:
     idle = client()
     batch = b"".join(record(number, number.to_bytes(4, "little")) for number in range(2000))
     while not hub.writers():

@@ -33,7 +33,7 @@ def channels(data: bytes) -> tuple[int, list[int]]:
 
 
 @given(st.integers(0, 255), st.lists(st.integers(0, 4095), min_size=1, max_size=5))
-def test_packing(counter: int, codes: list[int]) -> None:
+def test_payloads_are_packed_as_on_the_wire(counter: int, codes: list[int]) -> None:
     data = pack(counter, codes)
     assert len(data) == math.ceil((4 + 12 * len(codes)) / 8)
     got, values = channels(data)
@@ -41,7 +41,7 @@ def test_packing(counter: int, codes: list[int]) -> None:
     assert values[: len(codes)] == codes
 
 
-def test_golden_frame() -> None:
+def test_a_frame_is_packed_byte_by_byte() -> None:
     # counter 5; 0 N = 96, 110 N = 1856, saturated 4095
     # nibbles from the lowest: 5, 060, 740, fff
     assert pack(0x35, [96, 1856, 4095]) == bytes.fromhex("050640f7ff")
@@ -121,7 +121,7 @@ def test_noise_equals_pythons_generator() -> None:
     assert taken == pytest.approx([rng.gauss(0.0, 1.0) for _ in taken], rel=1e-14)
 
 
-def test_seeds() -> None:
+def test_equal_seeds_give_equal_readings() -> None:
     answers = [[node(seed=seed).receive(Frame(SYNC, bytes([k])), k) for k in range(3)] for seed in (1, 1, 2)]
     assert answers[0] == answers[1]
     assert answers[0] != answers[2]

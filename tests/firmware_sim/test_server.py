@@ -147,7 +147,7 @@ def test_an_answer_waits_for_one_stride_at_most(bench: Bench) -> None:
     assert bench.world.t_ns == START + MAX_CATCH_UP_NS
 
 
-class Granted:
+class GrantedPriority:
     """Real-time priority that is granted by the test."""
 
     def __init__(self) -> None:
@@ -162,7 +162,7 @@ class Granted:
 
 
 def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
-    granted = Granted()
+    granted = GrantedPriority()
     priority = RealTimePriority(granted.take, granted.restore, lambda: granted.now_s)
     for _ in range(10):
         priority.note_slip()

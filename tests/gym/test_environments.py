@@ -158,7 +158,7 @@ def test_names_are_those_of_the_client_s_observations() -> None:
     np.testing.assert_array_equal(seen[:11], env.out.telemetry.q.astype(np.float32))
 
 
-def test_processes_give_the_same_as_one_process() -> None:
+def test_several_processes_give_the_episodes_of_one_process() -> None:
     def made() -> gymnasium.Env[Any, Any]:
         return gymnasium.make("handctl.gym:handctl/Track-v0", duration_s=0.2)
 

@@ -79,7 +79,7 @@ def test_a_path_of_points_gives_postures_without_jumps() -> None:
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
-def test_random_chains(seed: int) -> None:
+def test_tips_of_random_chains_are_closest(seed: int) -> None:
     """Hinges in any direction, one to eight links."""
     random = np.random.default_rng(seed)
     description = random_hand(seed)

@@ -48,7 +48,7 @@ UNITS = [
 
 
 @pytest.mark.parametrize(("section", "values", "start"), UNITS)
-def test_wrong_units_are_guessed(edited, section, values, start):
+def test_the_message_about_a_wrong_unit_suggests_a_unit(edited, section, values, start):
     line = edited(set_values(section, 0, **values))
     assert line.startswith(start)
     assert re.search(r"\(in .*\?\)$", line)

@@ -211,7 +211,7 @@ def test_reduced_dynamics_is_the_projection(digits, rng):
             assert agree(mass @ ddtheta + rest, coupling.T @ np.array(full))
 
 
-def test_lists_tuples_and_arrays_give_the_same(digits, rng):
+def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
     for digit in digits:
         q, dq, ddq = next(iter(states(rng, digit.joint_count, 1)))
         as_array = dynamics.required_torque(digit, q, dq, ddq)

@@ -111,7 +111,7 @@ def test_the_paper_s_finger_at_thirty_degrees():
     assert np.allclose(pose, (x, y, 3 * t), rtol=1e-13)
 
 
-def test_palm_frame_and_back(digits, rng):
+def test_the_inverse_of_the_palm_frame_gives_the_points_back(digits, rng):
     for digit in digits:
         own = rng.normal(size=(20, 3))
         assert np.allclose(from_palm(digit, to_palm(digit, own)), own, atol=1e-14)

@@ -127,7 +127,7 @@ def test_a_hand_with_varying_arms_is_written_and_read_back() -> None:
     assert again.content == hand.content
 
 
-def test_graph_and_warnings_know_varying_arms() -> None:
+def test_graph_and_warnings_include_varying_arms() -> None:
     hand = with_varying_arms("jamia11", 0.3)
     assert "index_t1: j1 +2.1..3.9 mm" in text_graph(hand)
     assert not [text for text in grasp_warnings(hand) if "no digit" in text]

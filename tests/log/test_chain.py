@@ -49,6 +49,6 @@ def test_a_slewed_clock_has_no_step() -> None:
     assert list(clock_steps(slewed)) == []
 
 
-def test_a_lockstep_run_looks_at_no_clock(tmp_path: Path) -> None:
+def test_a_lockstep_run_reads_no_clock(tmp_path: Path) -> None:
     with RunLog(_written(tmp_path / "a.mcap", [], 12.0, deterministic=True)) as log:
         assert log.clock_pairs == []

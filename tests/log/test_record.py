@@ -156,7 +156,7 @@ def test_a_cut_or_changed_message_never_does_worse_than_value_error(
         assert unpack_ticks([bytes(message)]) == [once]
 
 
-def test_a_record_says_its_length() -> None:
+def test_a_record_contains_its_length() -> None:
     telemetry = Telemetry(**{name: np.full(2, math.nan) for name in TELEMETRY_AXES})
     record = pack_tick_record(TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)))
     assert FRAMING.unpack_from(record)[0] == len(record) - FRAMING.size

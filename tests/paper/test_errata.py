@@ -187,7 +187,7 @@ def test_a_printed_number_of_the_abstract_is_judged_once(printed: str) -> None:
     assert len(judged) == 1
 
 
-def test_the_joint_that_holds_the_straight_finger_feels_its_whole_weight() -> None:
+def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:
     """Compute tau_1 = g sum(m x) with x the distance of each centre of mass from joint 1, without dynamics code."""
     digit = motion.upright_digit("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))

@@ -26,5 +26,6 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     io_events = {300: (IoEvent("enobufs", "main", 2),)}
     requests = {250: ('{"do": "arm"}', "no request"), 450: ('{"do": "stop"}',)}
     log = folder / "fresh.mcap"
-    runs.run(log, runs.short_task(folder), rate_hz=200.0, spoil=runs.deaf_index, io_events=io_events, requests=requests)
+    task, spoil = runs.short_task(folder), runs.peer_with_silent_index
+    runs.run(log, task, rate_hz=200.0, spoil=spoil, io_events=io_events, requests=requests)
     return log

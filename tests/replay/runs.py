@@ -64,7 +64,7 @@ sink_speed_m_s = 0.2
 
 
 @dataclass
-class DeafTo:
+class PeerWithLostReplies:
     """A peer whose replies with one identifier are lost from some time on.
 
     Attributes:
@@ -159,9 +159,9 @@ def run(
         peer.close()
 
 
-def deaf_index(peer: Peer) -> Peer:
+def peer_with_silent_index(peer: Peer) -> Peer:
     """Return a peer whose index motor is silent from 2.2 s on, during the hold."""
-    return DeafTo(peer, 0x11, 2_200_000_000)
+    return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 
 
 def golden(folder: Path) -> None:
@@ -174,7 +174,7 @@ def golden(folder: Path) -> None:
     run(folder / "jamia-grasp.mcap", task, rate_hz=200.0)
     run(folder / "jamia-lost.mcap", task, rate_hz=200.0, friction=0.02)
     events = {400: (IoEvent("dropped", "main", 3),)}
-    run(folder / "jamia-fault.mcap", task, rate_hz=200.0, spoil=deaf_index, io_events=events)
+    run(folder / "jamia-fault.mcap", task, rate_hz=200.0, spoil=peer_with_silent_index, io_events=events)
     run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)
 
 

@@ -22,7 +22,7 @@ MOVE = '[[phase]]\nkind = "move"\nname = "move {n}"\nangle_deg = {angle:.3f}\ndu
 
 
 @dataclass
-class Lossy:
+class LossyPeer:
     """A peer that loses one reply in two hundred, and sometimes the replies of two ticks, which does not end a run."""
 
     peer: Peer
@@ -53,7 +53,7 @@ def write(log: Path) -> None:
     requests = {k + 7: ("no request",) for k in ticks}
 
     def spoil(peer: Peer) -> Peer:
-        return runs.DeafTo(Lossy(peer), 0x12, int(DEAF_S * 1e9))
+        return runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
 
     runs.run(log, TaskProgram(load_task(task)), rate_hz=RATE_HZ, spoil=spoil, io_events=io_events, requests=requests)
 

@@ -62,7 +62,7 @@ def spoil(field: str, at: int) -> Change:
     return change
 
 
-def test_a_state_comes_out_of_its_snapshot_as_it_went_in(fresh: Path) -> None:
+def test_a_snapshot_restores_the_state_unchanged(fresh: Path) -> None:
     """Compare the bytes, the hash, and the next tick, in every tick of a run with faults and requests."""
     with RunLog(fresh) as log:
         controller = rebuild_controller(log)
@@ -76,7 +76,7 @@ def test_a_state_comes_out_of_its_snapshot_as_it_went_in(fresh: Path) -> None:
 
 
 @pytest.mark.parametrize("protocol", GUARDED)
-def test_a_state_of_every_protocol_comes_out_of_its_snapshot(protocol: str) -> None:
+def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     with homed_run(hand_with_protocol("jamia", protocol), 250.0, 0) as simulation:
         seen = set()
         for _ in simulation.ticks(limit_s=10.0):
@@ -170,7 +170,7 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(fresh: Path, monkeypatch: pytes
         '[":array","O",[1],[":bytes","0000000000000000"]]',
     ],
 )
-def test_a_snapshot_makes_no_other_objects_than_decisions(fresh: Path, text: str) -> None:
+def test_a_snapshot_with_other_objects_than_decisions_is_refused(fresh: Path, text: str) -> None:
     with RunLog(fresh) as log:
         controller = rebuild_controller(log)
         state = controller.initial()

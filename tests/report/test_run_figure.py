@@ -45,7 +45,7 @@ def test_figure_depends_on_the_run(tmp_path: Path) -> None:
     assert paths[0].read_bytes() != paths[1].read_bytes()
 
 
-def test_hidden_values_take_no_height(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hidden_values_do_not_affect_the_height(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = run_of("jamia", True)
     log.mode[60:] = int(Mode.DONE)
     log.fields["q"][:], log.fields["q_goal"][:] = 0.1, np.nan

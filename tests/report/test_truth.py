@@ -17,7 +17,7 @@ def small() -> TruthRecord:
     return TruthRecord({}, np.arange(6) * 1_000_000 + 2**60, rng.normal(size=(6, 3)), ("a", "b/c", "d"))
 
 
-def test_written_truth_is_read(small: TruthRecord, tmp_path: Path) -> None:
+def test_a_written_truth_file_is_read(small: TruthRecord, tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     write_truth(path, small)
     again = read_truth(path)

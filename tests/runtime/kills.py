@@ -43,7 +43,7 @@ DECAY_MS = 4.0
 """Decay of the motor current [ms]."""
 MIN_TORQUE_N_M = 1e-3
 """Torque above which a motor counts as driven [N m]."""
-PULLS_N = 8.0
+MIN_TAUT_N = 8.0
 """Tension above which a tendon counts as pulled [N]."""
 RELEASE_S = 0.3
 """Time in which the fingers open after the watchdog [s]."""
@@ -56,7 +56,7 @@ WAIT_S = 60.0
 """Longest wait for a process [s]."""
 
 
-class Killed(NamedTuple):
+class DisturbedRun(NamedTuple):
     """Record of one disturbed run.
 
     Attributes:
@@ -78,7 +78,7 @@ class Killed(NamedTuple):
     warning: str
 
 
-class Judged(NamedTuple):
+class KillVerdict(NamedTuple):
     """One disturbed run compared with the truth.
 
     Attributes:
@@ -90,7 +90,7 @@ class Judged(NamedTuple):
         tension: largest tension after the fingers have had time to open [N].
     """
 
-    run: Killed
+    run: DisturbedRun
     pulled: bool
     driven: bool
     off_ms: float
@@ -155,13 +155,13 @@ class Range:
         finally:
             os._exit(code)
 
-    def disturb(self, number: int, how: signal.Signals, delay_s: float) -> Killed:
+    def disturb(self, number: int, how: signal.Signals, delay_s: float) -> DisturbedRun:
         """Start a controller and send it a signal some time [s] after its first SYNC."""
         log = self.folder / f"{number}.mcap"
         with Listener() as listener:
             child = self.start(log)
             try:
-                listener.until_heard(child)
+                listener.wait_for_sync(child)
                 listener.wait(delay_s / self.scale)
                 before_ns, slip_ns = self.now_ns()
                 os.kill(child, how)
@@ -178,9 +178,9 @@ class Range:
             listener.wait(0.0)
         warning, logged = read_syncs(log)
         log.unlink()
-        return Killed(how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning)
+        return DisturbedRun(how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning)
 
-    def judged(self, runs: list[Killed]) -> list[Judged]:
+    def judged(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
         """Compare the runs with the truth of the simulator, which has ended."""
         truth = read_truth(self.truth)
         return [verdict_of_kill(truth, run) for run in runs]
@@ -227,7 +227,7 @@ class Listener:
                 self.syncs.append(self._partial[at + 8])
         self._partial = self._partial[end:]
 
-    def until_heard(self, child: int) -> None:
+    def wait_for_sync(self, child: int) -> None:
         """Wait for the first SYNC of a controller."""
         until = time.monotonic() + WAIT_S
         while not self.syncs:
@@ -257,7 +257,7 @@ def read_syncs(path: Path) -> tuple[str, bytes]:
         time.sleep(0.05)
 
 
-def verdict_of_kill(truth: TruthRecord, run: Killed) -> Judged:
+def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
     """Judge the reaction of the drives in one run."""
     torque = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]]
     tension = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]]
@@ -265,9 +265,9 @@ def verdict_of_kill(truth: TruthRecord, run: Killed) -> Judged:
     over = np.searchsorted(truth.t_ns, run.after_ns + run.slipped_ns + int(RELEASE_S * 1e9))
     driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > MIN_TORQUE_N_M)
     last_ns = int(truth.t_ns[begin + driven[-1]]) - run.slipped_ns if len(driven) else run.before_ns
-    return Judged(
+    return KillVerdict(
         run,
-        pulled=bool(tension[begin].max() > PULLS_N),
+        pulled=bool(tension[begin].max() > MIN_TAUT_N),
         driven=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
         off_ms=(last_ns - run.before_ns) * 1e-6,
         late_ms=(last_ns - run.after_ns) * 1e-6,
@@ -275,11 +275,11 @@ def verdict_of_kill(truth: TruthRecord, run: Killed) -> Judged:
     )
 
 
-def kills(folder: Path, times: int, seed: int, scale: float) -> list[Judged]:
+def kills(folder: Path, times: int, seed: int, scale: float) -> list[KillVerdict]:
     """Disturb a number of controllers beside one simulator, by SIGKILL and SIGSTOP in turn."""
     chance = random.Random(seed)
     place = Range(folder, scale)
-    runs: list[Killed] = []
+    runs: list[DisturbedRun] = []
     try:
         for number in range(times):
             how = signal.SIGKILL if number % 2 == 0 else signal.SIGSTOP
@@ -293,7 +293,7 @@ BATCH = 25
 """Controllers beside one simulator. The truth of the simulator is read after each batch, and deleted."""
 
 
-def batches(times: int, seed: int, scale: float) -> Iterator[list[Judged]]:
+def batches(times: int, seed: int, scale: float) -> Iterator[list[KillVerdict]]:
     """Disturb a number of controllers, ``BATCH`` beside each simulator."""
     for first in range(0, times, BATCH):
         with tempfile.TemporaryDirectory(prefix="h-") as folder:
@@ -301,7 +301,7 @@ def batches(times: int, seed: int, scale: float) -> Iterator[list[Judged]]:
             yield kills(Path(folder), min(BATCH, times - first), seed + first, scale)
 
 
-def summary(runs: list[Judged]) -> str:
+def summary(runs: list[KillVerdict]) -> str:
     """Summarise the runs in one line."""
     safe = sum(run.safe for run in runs)
     complete = sum(run.complete for run in runs)

@@ -168,7 +168,7 @@ def test_a_link_of_another_user_above_is_refused(shared, monkeypatch):
 
 
 @SECOND_USER
-def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(shared, impatient):
+def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(shared, short_confirmation_wait):
     """Attack: rename the mailbox, bind another socket there, receive the requests for the hand."""
     box = Mailbox("local:x")
     folder = run_dir()
@@ -257,7 +257,7 @@ def test_a_hub_accepts_only_its_own_user(shared):
     hub.close()
 
 
-class Answering:
+class AnsweringController:
     """A thread that serves the mailbox like a controller, with the event texts of a tick."""
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
@@ -301,32 +301,32 @@ class Answering:
 
 
 def test_stop_ends_when_the_controller_reports_every_drive_off(place, capsys):
-    with Answering() as controller:
+    with AnsweringController() as controller:
         assert main(["stop", "--bus", BUS, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"asked": "stop", "bus": BUS, "confirmed": True, "mode": "DONE"}
     assert controller.taken == ["stop"]
 
 
 def test_stop_names_a_drive_that_stays_on(place, capsys):
-    with Answering("DISARM -> DONE: REMOVE POWER: not confirmed disabled: index_motor"):
+    with AnsweringController("DISARM -> DONE: REMOVE POWER: not confirmed disabled: index_motor"):
         assert main(["stop", "--bus", BUS]) == 71
     assert "REMOVE POWER: not confirmed disabled: index_motor" in capsys.readouterr().err
 
 
 @pytest.fixture
-def impatient(monkeypatch):
+def short_confirmation_wait(monkeypatch):
     """Shorten the wait for a confirmation to a fifth."""
     monkeypatch.setattr("handctl.runtime.confirm.ANSWER_S", 0.4)
 
 
-def test_stop_is_unconfirmed_if_the_controller_falls_silent(place, impatient, capsys):
-    with Answering(deaf_after="RELAX"):
+def test_stop_is_unconfirmed_if_the_controller_falls_silent(place, short_confirmation_wait, capsys):
+    with AnsweringController(deaf_after="RELAX"):
         assert main(["stop", "--bus", BUS]) == 71
     assert UNCONFIRMED in capsys.readouterr().err
 
 
 def test_clear_ends_when_the_controller_has_taken_it(place, capsys):
-    with Answering() as controller:
+    with AnsweringController() as controller:
         assert main(["clear", "--bus", BUS]) == 0
     assert controller.taken == ["clear"]
     assert "has cleared its faults" in capsys.readouterr().out
@@ -334,7 +334,7 @@ def test_clear_ends_when_the_controller_has_taken_it(place, capsys):
 
 def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
     others = [Watcher(BUS) for _ in range(6)]
-    with Answering() as controller:
+    with AnsweringController() as controller:
         until = time.monotonic() + 1.0
 
         def crowd():
@@ -369,7 +369,7 @@ def fill_mailbox(path: Path) -> int:
 
 @pytest.mark.parametrize("word", ["stop", "cut", "clear"])
 @pytest.mark.parametrize("full", [False, True])
-def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(place, impatient, word, full):
+def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(place, short_confirmation_wait, word, full):
     box = Mailbox(BUS)
     if full:
         assert fill_mailbox(box.path)

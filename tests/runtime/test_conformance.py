@@ -68,7 +68,7 @@ def test_a_light_shaft_and_a_slow_wire_pass_conformance(protocol, inertia, delay
     assert abs(place.bench.motors[0].omega) < 20.0
 
 
-BROKEN_PROMISE = {
+FAILED_CHECK = {
     "deaf": "disables on command, and reports it",
     "eager": "makes no torque until it is enabled",
     "twin": "is the only drive with its number",
@@ -84,7 +84,7 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
     if fault == "eager" and not SIMULATED[protocol].force_command:
         pytest.skip("its simulated drive cannot follow a torque command while disabled")
     failures, place, _ = check_results(protocol, fault)
-    assert BROKEN_PROMISE[fault] in failed(failures)
+    assert FAILED_CHECK[fault] in failed(failures)
     assert place.top <= LIMIT * 1.001
 
 
@@ -94,8 +94,8 @@ def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
     """A deaf CubeMars passed like a good one, because its feedback does not report whether it is enabled."""
     good, _, _ = check_results(protocol)
     broken, place, _ = check_results(protocol, fault)
-    assert BROKEN_PROMISE[fault] not in failed(good)
-    assert BROKEN_PROMISE[fault] in failed(broken)
+    assert FAILED_CHECK[fault] not in failed(good)
+    assert FAILED_CHECK[fault] in failed(broken)
     assert place.top <= LIMIT * 1.05
 
 
@@ -104,7 +104,7 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
     place = VirtualBench("odrive", fault, firmware="0.5", usb_watchdog_s=0.1)
     rig = rig_on(place, "odrive", LIMIT, {"firmware": "0.5"})
     found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.1))}
-    assert failed(found)[:1] == ([BROKEN_PROMISE[fault]] if fault else [])
+    assert failed(found)[:1] == ([FAILED_CHECK[fault]] if fault else [])
     assert not any("nan" in check.reason for check in found.values())
 
 
@@ -129,10 +129,10 @@ def test_a_blocked_shaft_is_no_failure(protocol):
 
 def test_an_odrive_without_watchdog_fails_that_check_only():
     failures, _, _ = check_results("odrive", options={"torque_feedback": True})
-    assert failed(failures) == [BROKEN_PROMISE["watchdog"]]
-    assert "CANSimple cannot read it" in failures[BROKEN_PROMISE["watchdog"]].reason
+    assert failed(failures) == [FAILED_CHECK["watchdog"]]
+    assert "CANSimple cannot read it" in failures[FAILED_CHECK["watchdog"]].reason
     for option in ("endpoint_enable_watchdog", "endpoint_watchdog_timeout"):
-        assert option in failures[BROKEN_PROMISE["watchdog"]].reason
+        assert option in failures[FAILED_CHECK["watchdog"]].reason
 
 
 def test_a_motor_in_velocity_mode_is_set_to_mit_mode():

@@ -108,11 +108,11 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
     place, rig, _ = bench_of(protocol, mode)
     wait = place.wait
 
-    def spun(k):
+    def wait_with_fast_shaft(k):
         place.bench.motors[0].omega = 20.0 if place.bench.t_ns > 2_000_000_000 else place.bench.motors[0].omega
         return wait(k)
 
-    place.wait = spun
+    place.wait = wait_with_fast_shaft
     result = jog_drive(rig, goal_of(mode, 0.1, 4.0, 1e6))
     assert "rad/s, expected at most 3" in result.failure or "error" in result.failure
     assert rig.confirm_off(0.05)

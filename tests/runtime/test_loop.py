@@ -225,12 +225,12 @@ def test_frames_that_a_bus_refuses_are_counted_as_refused_not_as_sent() -> None:
     assert run.loop.stats.frames_tx == 6
 
 
-class TroubleError(Exception):
+class StageError(Exception):
     """Error that a stage raises."""
 
 
-def raising(*_: object) -> None:
-    raise TroubleError
+def raise_error(*_: object) -> None:
+    raise StageError
 
 
 @pytest.mark.parametrize("stage", ["tick", "record", "show", "requests", "host_events", "send", "drain", "take_events"])
@@ -240,13 +240,13 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     run = Run(5, buses=[left, right], frames=(Frame(9, b"torque"),))
     stages = {"record", "show", "requests", "host_events"}
     if stage == "tick":
-        run.fail = lambda entry: raising() if entry.k == 2 else None
+        run.fail = lambda entry: raise_error() if entry.k == 2 else None
     elif stage in stages:
-        setattr(run.loop, stage, raising)
+        setattr(run.loop, stage, raise_error)
     else:
         whole = getattr(left, stage)
-        setattr(left, stage, lambda *words: raising() if run.recorded else whole(*words))
-    with pytest.raises(PowerError if stage == "send" else TroubleError):  # a drive without a cut may still pull
+        setattr(left, stage, lambda *words: raise_error() if run.recorded else whole(*words))
+    with pytest.raises(PowerError if stage == "send" else StageError):  # a drive without a cut may still pull
         run.go()
     assert right.sent[-1] == (CUT[1],)
     if stage != "send":
@@ -263,7 +263,7 @@ def poll_times(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
         return state, (Frame(3, b"off"),), answers.pop(0) if answers else ("index", "thumb")
 
     run.loop.let_go = let_go
-    run.fail = lambda entry: raising() if entry.k == 2 else None
+    run.fail = lambda entry: raise_error() if entry.k == 2 else None
     run.go()
     return times
 
@@ -271,7 +271,7 @@ def poll_times(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
 def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:
     bus = FakeBus()
     answers = [("index", "thumb"), ("thumb",), ()]
-    with pytest.raises(TroubleError):
+    with pytest.raises(StageError):
         poll_times(Run(5, buses=[bus]), answers)
     assert answers == []
     assert [sent for sent in bus.sent if sent] == [CUT, (Frame(3, b"off"),), (Frame(3, b"off"),)]
@@ -281,14 +281,14 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
     run = Run(5)
     with pytest.raises(PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb") as message:
         poll_times(run, [])
-    assert isinstance(message.value.__cause__, TroubleError)
+    assert isinstance(message.value.__cause__, StageError)
     assert len(run.clock.waits) == 3 + 501, "half a second of it"
 
 
 def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
     run = Run(5)
-    run.fail = lambda entry: raising() if entry.k == 2 else None
-    run.loop.let_go = raising  # type: ignore[assignment]
+    run.fail = lambda entry: raise_error() if entry.k == 2 else None
+    run.loop.let_go = raise_error  # type: ignore[assignment]
     with pytest.raises(PowerError, match="the drives are unknown"):
         run.go()
 
@@ -298,7 +298,7 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     left = FakeBus()
     right = FakeBus(1)
     run = Run(5, buses=[left, right])
-    run.fail = lambda entry: raising() if entry.k == 2 else None
+    run.fail = lambda entry: raise_error() if entry.k == 2 else None
     capacities = [0, 0, 1]
     whole = left.send
 
@@ -307,7 +307,7 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
         return whole(frames)
 
     left.send = send  # type: ignore[method-assign]
-    with pytest.raises(TroubleError):
+    with pytest.raises(StageError):
         run.go()
     assert [sent for sent in left.sent if sent] == [(CUT[0],)]
     assert capacities == []
@@ -316,17 +316,17 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
 
 def test_a_bus_that_refuses_every_cut_delays_no_other() -> None:
     run = Run(5, buses=[FakeBus(capacity=0)])
-    run.fail = lambda entry: raising() if entry.k == 2 else None
+    run.fail = lambda entry: raise_error() if entry.k == 2 else None
     began = time.monotonic()
-    with pytest.raises(TroubleError):
+    with pytest.raises(StageError):
         run.go()
     assert time.monotonic() - began < 10.0
 
 
 def test_a_failed_tick_sends_nothing_else() -> None:
     run = Run(5, frames=(Frame(9, b"torque"),))
-    run.fail = lambda entry: raising() if entry.k == 2 else None
-    with pytest.raises(TroubleError):
+    run.fail = lambda entry: raise_error() if entry.k == 2 else None
+    with pytest.raises(StageError):
         run.go()
     assert run.buses[0].sent == [run.frames, run.frames, CUT]
     assert [entry.k for entry, _ in run.recorded] == [0, 1]
@@ -337,12 +337,12 @@ def test_garbage_collection_is_off_in_the_loop_only(failing: bool) -> None:
     seen = []
     run = Run(3)
     run.fail = lambda entry: (
-        seen.append((gc.isenabled(), gc.get_freeze_count() > 0)) or (raising() if failing and entry.k else None)
+        seen.append((gc.isenabled(), gc.get_freeze_count() > 0)) or (raise_error() if failing and entry.k else None)
     )
     before = gc.get_freeze_count()
     assert gc.isenabled()
     if failing:
-        with pytest.raises(TroubleError):
+        with pytest.raises(StageError):
             run.go()
     else:
         run.go()
@@ -353,8 +353,8 @@ def test_garbage_collection_is_off_in_the_loop_only(failing: bool) -> None:
 
 def test_garbage_collection_is_restored_when_the_clock_does_not_begin(monkeypatch: pytest.MonkeyPatch) -> None:
     run = Run(3)
-    monkeypatch.setattr(run.clock, "start", raising)
-    with pytest.raises(TroubleError):
+    monkeypatch.setattr(run.clock, "start", raise_error)
+    with pytest.raises(StageError):
         run.go()
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0

@@ -130,7 +130,7 @@ def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:
     assert not mailbox_path("local:x").exists()
 
 
-def test_of_many_controllers_started_at_once_one_runs(folder: Path) -> None:
+def test_only_one_of_many_controllers_started_at_once_runs(folder: Path) -> None:
     code = """
 import sys, time
 from handctl.errors import BusError
@@ -176,7 +176,7 @@ def test_a_folder_that_cannot_hold_sockets_is_one_line(tmp_path: Path, monkeypat
         assert "\n" not in str(caught.value)
 
 
-def test_the_folder_is_for_this_user_alone(folder: Path) -> None:
+def test_only_this_user_can_access_the_folder(folder: Path) -> None:
     box = Mailbox("local:x")
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     box.close()

@@ -132,7 +132,7 @@ def test_a_half_written_record_is_not_returned() -> None:
     writer.close()
 
 
-def test_the_file_is_private_and_goes_with_the_run() -> None:
+def test_the_file_is_private_and_is_removed_after_the_run() -> None:
     writer = ObservationWriter("local:x", AXES, {})
     path = observations_path("local:x")
     assert path.stat().st_mode & 0o777 == 0o600

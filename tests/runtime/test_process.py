@@ -70,7 +70,7 @@ def start_long(processes, calibrated, *more):
     return process
 
 
-def test_stop_from_another_process(place, hand, calibrated, processes, scale):
+def test_a_stop_from_another_process_ends_the_run(place, hand, calibrated, processes, scale):
     process = start_long(processes, calibrated, *scale)
     second = handctl("run", *calibrated, "--task", "long.toml", *scale, "--log", "second.mcap")
     assert second.returncode == 1

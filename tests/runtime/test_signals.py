@@ -8,7 +8,7 @@ import pytest
 from handctl.runtime.loop import StopSignals
 
 
-class TroubleError(Exception):
+class RaisedInTestError(Exception):
     """Error that a test raises."""
 
 
@@ -58,8 +58,8 @@ def test_signal_handlers_are_restored() -> None:
     def interrupted() -> None:
         with signals.installed():
             assert signal.getsignal(signal.SIGINT) is signals
-            raise TroubleError
+            raise RaisedInTestError
 
-    with pytest.raises(TroubleError):
+    with pytest.raises(RaisedInTestError):
         interrupted()
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before

@@ -101,7 +101,7 @@ def test_only_one_of_several_clients_commands_the_hand(live):
     assert live.wait_for(phase="live").phase == "live"
 
 
-def test_no_watcher_silences_another(place):
+def test_every_watcher_gets_its_lines(place):
     """Regression: a fifth watcher took the place of the first."""
     box = Mailbox("local:many")
     watchers = [Watcher("local:many") for _ in range(MAX_WATCHERS + 3)]

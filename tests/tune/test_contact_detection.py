@@ -64,7 +64,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 
 
 @pytest.mark.parametrize(("hand", "seed"), [one for one in UNDISTURBED if NIGHTLY or one in UNDISTURBED_SAMPLE])
-def test_a_digit_that_touches_nothing_is_kept(tmp_path: Path, hand: str, seed: int) -> None:
+def test_parameters_of_a_digit_without_contact_are_kept(tmp_path: Path, hand: str, seed: int) -> None:
     """Accept plants with parameters off by up to 30 %."""
     found, row = excite_and_fit(hand, DIGITS[seed % 4], seed, draw_plant(seed), Gains(), tmp_path)
     assert "failure" not in row

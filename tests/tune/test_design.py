@@ -140,7 +140,7 @@ def identification_of_tendon(stiffness: float, half: float) -> Identified:
     )
 
 
-def test_a_vague_identification_widens_the_ensemble_to_the_ends_of_its_intervals() -> None:
+def test_an_uncertain_identification_widens_the_ensemble_to_its_intervals() -> None:
     spread = ensemble_widths(
         {"index_tendon": identification_of_tendon(5e4, 1.5e4), "thumb_tendon": identification_of_tendon(5e4, 2e4)}
     )

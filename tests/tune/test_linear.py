@@ -66,7 +66,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(jamia: HandModel, ki
     assert not margins_of_loop(open_loop(jamia, 0, kind, PlantFactors(torque_constant=1.03 * margin))).stable
 
 
-def test_closed_loop_responds_to_a_push(jamia: HandModel) -> None:
+def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
     """A held tension returns after a force step of 1 N. A blocked rotor without a controller keeps all of it."""
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

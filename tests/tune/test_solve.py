@@ -19,7 +19,7 @@ def test_rows_are_in_one_block_each(seed: int) -> None:
 
 
 @pytest.mark.parametrize("span", [0.0, 0.1, 20.0])
-def test_times_that_stand_still_cost_no_more_than_seconds(span: float) -> None:
+def test_equal_times_take_a_few_seconds_at_most(span: float) -> None:
     """4000 rows in one block once took minutes."""
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
@@ -31,7 +31,7 @@ def test_times_that_stand_still_cost_no_more_than_seconds(span: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_an_unlucky_block_does_not_take_the_freedom_away(seed: int) -> None:
+def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -> None:
     """Regression: one block with a large residual left three degrees of freedom and intervals 1.5 times as wide."""
     random = np.random.default_rng(seed)
     jacobian, times = random.normal(size=(2000, 3)), np.linspace(0.0, 20.0 * BLOCK_S, 2000, endpoint=False)

@@ -151,7 +151,7 @@ def test_written_design_is_stable(hand: str, seed: int) -> None:
     assert RestTest(model.hand, factors, plants, seed + 100)(after)
 
 
-def test_a_proof_that_fails_leaves_no_design(jamia: HandModel) -> None:
+def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
     with pytest.raises(ValueError, match="simulation"):
         design_gains(jamia, (linear_factors({}),), lambda tried: False)
 
@@ -163,13 +163,13 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     assert not simulate_swing(model.hand, model, {}, 0).at_rest
 
 
-def proof_of(model: HandModel) -> RestTest:
+def rest_test_of(model: HandModel) -> RestTest:
     """Return a rest test on the nominal plant and its ensemble."""
     factors = draw_ensemble(2, 0)
     return RestTest(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
 
 
-def test_closing_spool_pairs_are_not_taken_for_torn_tendons() -> None:
+def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     """They were: a digit without load cells that closed with 30 N ended every step test with T01."""
     model = HandModel.of(load_hand("orca_like"), Gains(), RATES["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
@@ -181,7 +181,7 @@ def test_closing_spool_pairs_are_not_taken_for_torn_tendons() -> None:
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
     """Chatter of the plant without feedback does not count as the loop's."""
     model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
-    proof = proof_of(model)
+    proof = rest_test_of(model)
     assert proof(model), proof.reason
 
 
@@ -201,12 +201,12 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
         return Swing(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
 
     monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
-    proof = proof_of(model)
+    proof = rest_test_of(model)
     assert proof(model) == accepted
     assert ("0.5 of the friction swings" in proof.reason) != accepted
 
 
-def proof_with(
+def rest_test_with(
     monkeypatch: pytest.MonkeyPatch, model: HandModel, chatter: tuple[float, ...], found: tuple[float, ...]
 ) -> RestTest:
     """Return a rest test on plants with given chatter and given swings of the gains [N]."""
@@ -217,19 +217,19 @@ def proof_with(
         return Swing(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
 
     monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
-    return proof_of(model)
+    return rest_test_of(model)
 
 
-def test_chatter_of_one_tendon_hides_no_swing_of_another(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
+def test_chatter_of_a_tendon_does_not_hide_swings_of_others(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
     """Jamia's index and ring chatter by 2 to 5 N with little friction, middle and thumb by less than 0.1 N."""
     chatter = (4.1, 0.0, 3.9, 0.0)
-    assert proof_with(monkeypatch, jamia, chatter, (5.0, 0.1, 4.4, 0.1))(jamia)
-    proof = proof_with(monkeypatch, jamia, chatter, (4.1, 3.9, 3.9, 3.9))
+    assert rest_test_with(monkeypatch, jamia, chatter, (5.0, 0.1, 4.4, 0.1))(jamia)
+    proof = rest_test_with(monkeypatch, jamia, chatter, (4.1, 3.9, 3.9, 3.9))
     assert not proof(jamia)
     assert "0.5 of the friction swings" in proof.reason
 
 
-def test_a_loop_that_rings_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
+def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
     """The swing is no larger than the plant's own, but the eigenvalues oscillate at that tension."""
     chatter = (4.0, 4.0, 4.0, 4.0)
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
@@ -237,10 +237,10 @@ def test_a_loop_that_rings_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPa
     assert is_stable(open_loop(ringing, 0, LoopKind.TENSION))
     assert all(is_ringing(model, linear_factors({"friction": 0.5})) for model in (ringing, with_force(393.0)))
     assert not is_ringing(jamia, linear_factors({"friction": 0.5}))
-    proof = proof_with(monkeypatch, ringing, chatter, chatter)
+    proof = rest_test_with(monkeypatch, ringing, chatter, chatter)
     assert not proof(ringing)
     assert "of a loop that oscillates" in proof.reason
-    assert proof_with(monkeypatch, jamia, chatter, chatter)(jamia)
+    assert rest_test_with(monkeypatch, jamia, chatter, chatter)(jamia)
 
 
 def test_gains_that_fail_at_the_least_friction_are_refused(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
@@ -250,7 +250,7 @@ def test_gains_that_fail_at_the_least_friction_are_refused(monkeypatch: pytest.M
     monkeypatch.setattr(
         "handctl.tune.loops.steps.simulate_swing", lambda hand, m, f, s: lost if f == {"friction": 0.5} else still
     )
-    proof = proof_of(jamia)
+    proof = rest_test_of(jamia)
     assert not proof(jamia)
     assert "N14b" in proof.reason
 
@@ -259,7 +259,7 @@ COUPLED = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,)
 
 
 @pytest.mark.parametrize("column", COUPLED)
-def test_a_digit_of_any_coupling_is_linearised_at_a_point_that_is_one(column: tuple[tuple[float], ...]) -> None:
+def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(column: tuple[tuple[float], ...]) -> None:
     """The joints agree with the coupling, inside their ranges."""
     hand = load_hand("jamia")
     content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}

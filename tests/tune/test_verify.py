@@ -17,7 +17,7 @@ from handctl.session.simulate import Simulator
 from handctl.tune.verify import VerifyObserver, scores_by_round
 
 CALM = Gains(motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7))
-WILD = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300.0))
+UNSTABLE_GAINS = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300.0))
 
 
 def _verified(new: Gains, log: Path) -> VerifyObserver:
@@ -31,7 +31,9 @@ def _verified(new: Gains, log: Path) -> VerifyObserver:
     return observer
 
 
-@pytest.mark.parametrize(("new", "goes_back"), [pytest.param(CALM, False, marks=pytest.mark.nightly), (WILD, True)])
+@pytest.mark.parametrize(
+    ("new", "goes_back"), [pytest.param(CALM, False, marks=pytest.mark.nightly), (UNSTABLE_GAINS, True)]
+)
 def test_ringing_gains_are_rolled_back(new: Gains, goes_back: bool, tmp_path: Path) -> None:
     observer = _verified(new, tmp_path / "run.mcap")
     assert (observer.rollback is not None) == goes_back
@@ -45,7 +47,7 @@ def test_ringing_gains_are_rolled_back(new: Gains, goes_back: bool, tmp_path: Pa
         assert observer.rollback.k < requests[1].k <= observer.rollback.k + 2
 
 
-def test_a_report_says_whose_gains_each_round_was_done_with() -> None:
+def test_a_report_names_the_gains_of_each_round() -> None:
     assert [_gains_label(i, None) for i in range(5)] == ["old", "old", "new", "new", "new"]
     assert [_gains_label(i, {"amplitude": 0.6}) for i in range(5)] == [
         "old",

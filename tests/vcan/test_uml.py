@@ -40,7 +40,7 @@ def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end:
 
 
 @pytest.mark.usefixtures("_possible")
-def test_output_and_status_come_back() -> None:
+def test_output_and_status_are_returned() -> None:
     output: list[str] = []
     script = "seq 20000; echo $WORD; ip -brief link show vcan1; printf 'no line feed'; exit 7"
     status = uml.run(["bash", "-c", script], {"WORD": "a 'quoted' $word"}, report_line=output.append)

@@ -16,7 +16,7 @@ from tests.runtime.processes import scaled
 TIME_SCALE = 0.15
 """Pace of plant, watchdogs and deadlines. The guest has one core, and reading a clock is a system call."""
 READY_S, END_S = 60.0, 20.0
-STOOD_STILL = ("H03", "B02", "N02", "B17", "N08")
+STALL_FAULTS = ("H03", "B02", "N02", "B17", "N08")
 """Faults that end a run, as they should, if host or simulator do not run for a while."""
 
 

@@ -25,7 +25,7 @@ from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome, make_controller, run_live
 from tests.drives.protocol_bench import hand_file
-from tests.vcan.inside.conftest import STOOD_STILL
+from tests.vcan.inside.conftest import STALL_FAULTS
 from tests.vcan.inside.test_protocols import DIGITS, PULL_N, RATE_HZ, simulated
 
 SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
@@ -46,7 +46,7 @@ def set_up(interface: str, up: bool) -> None:
         fcntl.ioctl(any_socket, SIOCSIFFLAGS, name + struct.pack("=h", flags) + bytes(22))
 
 
-class Hostile:
+class FaultObserver:
     """Observer of a run that makes one fault after the other during the pull. See ``session.run.RunObserver``."""
 
     def __init__(self, *acts: Callable[[], None]) -> None:
@@ -68,7 +68,7 @@ class Hostile:
             self.done_ns = round(time.monotonic_ns() * TIME_SCALE)
 
 
-def run(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
+def run(folder: Path, observer: FaultObserver) -> tuple[Outcome, Truth]:
     """Arm, pull every tendon, relax and disarm, with faults during the pull."""
     path = hand_file(folder, ["mit"])
     hand = load_hand(str(path))
@@ -77,11 +77,11 @@ def run(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
     program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), AT_S + AFTER_S)
     with simulated(path, plan.buses, TIME_SCALE, folder / "truth"):
         controller = make_controller(plan, program, None, arm_at_once=True)
-        outcome = run_live(plan, controller, folder / "run.mcap", observer=hostile)
+        outcome = run_live(plan, controller, folder / "run.mcap", observer=observer)
     return outcome, read_truth(folder / "truth")
 
 
-def run_until_done(folder: Path, hostile: Hostile, expected: str) -> tuple[Outcome, Truth]:
+def run_until_done(folder: Path, observer: FaultObserver, expected: str) -> tuple[Outcome, Truth]:
     """Return the first run with the fault that did not end because the guest's one core was busy.
 
     The fault may end runs in the same way. Then all five runs end, and the test reports it.
@@ -90,18 +90,18 @@ def run_until_done(folder: Path, hostile: Hostile, expected: str) -> tuple[Outco
     for number in range(5):
         place = folder / str(number)
         place.mkdir()
-        hostile.reset()
+        observer.reset()
         set_up("vcan0", True)
         try:
-            outcome, truth = run(place, hostile)
+            outcome, truth = run(place, observer)
         except LogError as error:  # the recorder has not started within twenty seconds
             failure = str(error)
             continue
         failure = outcome.state.failure
-        if not hostile.left and (expected in failure if expected else not failure):
+        if not observer.left and (expected in failure if expected else not failure):
             (place / "run.mcap").rename(folder / "run.mcap")
             return outcome, truth
-        assert any(row in failure for row in STOOD_STILL), failure
+        assert any(row in failure for row in STALL_FAULTS), failure
     pytest.fail(f"none of five runs came through: {failure}")
 
 
@@ -132,7 +132,7 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
         time.clock_settime(time.CLOCK_REALTIME, time.time() + seconds)
         offsets.append(time.time() - time.monotonic())
 
-    outcome, truth = run_until_done(tmp_path, Hostile(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)), "")
+    outcome, truth = run_until_done(tmp_path, FaultObserver(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)), "")
     moved = np.diff(offsets[-3:])
     assert moved == pytest.approx([HOUR_S, -2.0 * HOUR_S], abs=5.0), "it was felt: all clocks moved"
     assert (outcome.state.failure, outcome.exit) == ("", ExitCode.DONE)
@@ -147,16 +147,16 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
 @pytest.mark.timeout(600)
 def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(interface: str, tmp_path: Path) -> None:
     """B14."""
-    hostile = Hostile(lambda: set_up(interface, False))
-    outcome, truth = run_until_done(tmp_path, hostile, "B14")
+    observer = FaultObserver(lambda: set_up(interface, False))
+    outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure
     assert outcome.exit == ExitCode.REMOVE_POWER, "no drive could confirm"
-    after = hostile.modes[hostile.modes.index(Mode.ACTIVE) :]
+    after = observer.modes[observer.modes.index(Mode.ACTIVE) :]
     acted = round(AT_S * RATE_HZ)
     assert after[: acted + 3].count(Mode.ACTIVE) <= acted + 1, "the next tick cuts"
     torque = np.array([truth.column(f"torque/{digit}_motor") for digit in DIGITS])
     driven = truth.t_ns[np.abs(torque).max(axis=0) > 1e-3]
-    late_ms = (int(driven[-1]) - hostile.done_ns) * 1e-6
+    late_ms = (int(driven[-1]) - observer.done_ns) * 1e-6
     assert truth.column("tension/index_tendon").max() > 0.25 * PULL_N, "it pulled before"
     assert late_ms <= WATCHDOG_MS + 20.0, f"{late_ms:.0f} ms, the guest's clocks slip"
     with RunLog(tmp_path / "run.mcap") as log:

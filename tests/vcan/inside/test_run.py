@@ -14,7 +14,7 @@ import pytest
 
 from handctl.hand.load import load_hand
 from tests.runtime.processes import HOMED, scaled, write_homed
-from tests.vcan.inside.conftest import STOOD_STILL, TIME_SCALE, serving
+from tests.vcan.inside.conftest import STALL_FAULTS, TIME_SCALE, serving
 
 HANDCTL = Path(sys.executable).with_name("handctl")
 TASK = Path(__file__).with_name("short_grasp.toml")
@@ -45,7 +45,7 @@ def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str
         if ran.returncode == 0:
             break
         simulator = (place / "simulator").read_text()
-        undisturbed = "slips=0" in simulator and not any(row in ran.stderr for row in STOOD_STILL)
+        undisturbed = "slips=0" in simulator and not any(row in ran.stderr for row in STALL_FAULTS)
         assert not undisturbed, ran.stderr + ran.stdout + simulator
     assert ran.returncode == 0, ran.stderr + ran.stdout
     return ran, place

@@ -10,7 +10,7 @@ from benchmarks import streaming
 from handctl import DriveError, UnconfirmedError
 from handctl.hand.load import load_hand
 from tests.runtime.processes import HOMED, write_homed
-from tests.vcan.inside.conftest import SIMULATOR, STOOD_STILL, TIME_SCALE
+from tests.vcan.inside.conftest import SIMULATOR, STALL_FAULTS, TIME_SCALE
 
 TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
 """Pace of each attempt. In slower time an interruption of the guest lasts less, and a defect stays."""
@@ -53,6 +53,6 @@ def tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
     except UnconfirmedError as error:  # the controller has ended between two requests
         raise GuestStoppedError from error
     except DriveError as error:
-        if any(fault in str(error) for fault in STOOD_STILL):
+        if any(fault in str(error) for fault in STALL_FAULTS):
             raise GuestStoppedError from error
         raise
