@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-FETCHED_FROM = re.compile(r"<(?:script|img|iframe)[^>]*src=\"https?:[^\"]+|<link[^>]*rel=\"stylesheet\"[^>]*https?:[^\"]+")
+FETCHED = re.compile(r"<(?:script|img|iframe)[^>]*src=\"https?:[^\"]+|<link[^>]*rel=\"stylesheet\"[^>]*https?:[^\"]+")
 """Elements that a browser would fetch from another host."""
 
 
@@ -20,7 +20,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     made = sorted((tmp_path / "site").rglob("*.html"))
     assert len(made) == len(list((ROOT / "docs").rglob("*.md"))) + 1  # the error page 404.html is added
     texts = [page.read_text(encoding="utf-8") for page in made]
-    assert [match[0] for text in texts for match in FETCHED_FROM.finditer(text)] == []
+    assert [match[0] for text in texts for match in FETCHED.finditer(text)] == []
     # A list that its source does not end properly runs into the paragraph before it.
     paragraphs = [part for text in texts for part in re.findall(r"<p>(.*?)</p>", text, re.DOTALL)]
     assert [part[-200:] for part in paragraphs if re.search(r"^(- |\d+\. |\|)", part, re.MULTILINE)] == []
