@@ -3,7 +3,7 @@
 ``python benchmarks/behind.py [--quick] [--json]``. The whole stack runs, because the controller
 evicts the code and data of the simulator from the caches of the processor. The benchmark measures
 the CPU time of ``Rig.exchange`` in each tick, and subtracts the CPU time of ``mj_step`` alone for
-the same motion. Every run is the same to the bit, and the shortest time of each tick is used.
+the same motion. All runs are bit-identical, so the benchmark uses the shortest time of each tick.
 """
 
 import argparse

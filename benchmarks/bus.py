@@ -6,9 +6,10 @@ in the same process, and their time is not counted. An exchange converts torques
 the frames, receives the replies, and converts payloads to values. handctl also updates the state of
 each drive, as in a tick. Compare only ratios within one run.
 
-The lower bound is the time of a C program with the same system calls and codec. On the local bus,
-handctl sends all frames of a tick in one packet, so that this bound hardly grows with the number of
-motors. A second C program sends one packet per frame (sendmmsg, recvmmsg), as a CAN socket does.
+The lower bound is the time of a C program with the system calls and the codec of handctl. On the
+local bus, handctl sends all frames of a tick in one packet, so that this bound hardly grows with
+the number of motors. A second C program sends one packet per frame (sendmmsg, recvmmsg), as a CAN
+socket does.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 
 ``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``. The
 controller exchanges frames with the simulated hand in lockstep, and the results are true values of
-the plant. Objects and disturbances are in ``grasps/objects.py``. They were fixed before any tuning.
+the plant. Objects and disturbances are in ``grasps/objects.py``, and were fixed before any tuning.
 ``--full`` tries every object. ``--page`` writes docs/evidence/control-grasps.md with its picture.
 """
 

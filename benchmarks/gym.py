@@ -1,9 +1,9 @@
 """Steps per second and time of a reset of ``handctl.gym``, compared with a MuJoCo environment of the same rigid bodies.
 
 ``python benchmarks/gym.py [--quick] [--json]``. The MuJoCo environment has the same rigid bodies,
-time step and rate of actions. Its actions are joint torques. It has no tendons, drives, bus or
-controller. The actions are random, and so slow that the hand has no fault. The benchmark measures
-CPU time. For vectors of environments it measures wall time.
+time step and rate of actions, joint torques as actions, and no tendons, drives, bus or controller.
+The actions are random, and so slow that the hand has no fault. The benchmark measures CPU time, and
+wall time for vectors of environments.
 """
 
 import argparse
@@ -101,7 +101,7 @@ def action_of(space: gymnasium.spaces.Box, rng: np.random.Generator) -> np.ndarr
 
 
 def steps_s(env: gymnasium.Env, steps: int) -> float:
-    """Return the CPU time of a step without that of resets [s]."""
+    """Return the CPU time of a step, excluding resets [s]."""
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     took = 0.0

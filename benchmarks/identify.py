@@ -1,8 +1,8 @@
 """Accuracy of ``handctl identify`` on simulated hands that differ from their file: error and coverage.
 
-Each seed gives a random hand. Its parameters differ by up to 30 % from the hand file, and its gains
-are wrong by up to a factor of 3. A hand whose tendons return its digits has the packaged gains, with
-spool pairs a smaller authority, and moment arms that differ by up to 10 %.
+Each seed gives a random hand. The parameters of this hand differ by up to 30 % from the hand file,
+and its gains by up to a factor of 3. A hand whose tendons return its digits has the packaged gains,
+with spool pairs a smaller authority, and moment arms that differ by up to 10 %.
 
 One digit of the hand is moved in lockstep, and its parameters are fitted to the log. The true
 parameters are used only to calculate the errors.

@@ -2,7 +2,7 @@
 
 ``python benchmarks/lockstep.py [--quick] [--json]``. A first run records the forces on the joints
 in each step. ``mj_step`` alone then repeats these forces, and must end at the same positions, to
-the bit. Several runs are timed, and one runs under the profiler. Every run is the same to the bit.
+the bit. Several runs are timed, and one runs under the profiler. All runs are bit-identical.
 The benchmark uses the shortest time of each tick and of each step, which is the time without other
 load on the core and its caches.
 """

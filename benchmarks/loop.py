@@ -117,7 +117,10 @@ def marks(times_ns: list[int]) -> dict:
 
 
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure the lateness of the clock of the loop. It sleeps, and spins with real-time priority."""
+    """Measure the lateness of the clock of the loop.
+
+    This clock sleeps, and spins with real-time priority.
+    """
     from handctl.runtime.clocks.priority import take_priority
     from handctl.runtime.clocks.real import RealClock
 

@@ -21,7 +21,10 @@ from handctl.hand.load import packaged_hands
 
 Array = NDArray[np.float64]
 ANY_SPEED_DEG_S = 1e6
-"""Largest rate of change of the targets [deg/s]. It is so large that only the controller limits the rate."""
+"""Largest rate of change of the targets [deg/s].
+
+With this value only the controller limits the rate.
+"""
 WALK_STEP = 0.125
 """Standard deviation of a step of the random walk, as a fraction of the range."""
 

@@ -52,7 +52,7 @@ FAULTS = {
     "two drives are exchanged": "swap node={motor} with={other} at=1.6s",
     "a drive keeps its torque after the cut": "hold_on node={motor} at=4s",
 }
-"""Injected faults. None of them acts on a sensor that one of the hands does not have."""
+"""Injected faults. These faults act on parts that every hand of the benchmark has."""
 
 
 def hand_with(name: str, sensors: str) -> Hand:

@@ -1,4 +1,4 @@
-"""Entry point of ``python -m firmware_sim``: a simulated hand, ``drive`` for drives alone, ``bus`` for a hub."""
+"""Entry point of ``python -m firmware_sim``: a simulated hand, drives without a hand, or a hub."""
 
 import sys
 
@@ -19,7 +19,7 @@ def main(words: list[str]) -> int:
     Returns:
         Exit code: 0 after SIGTERM or SIGINT, 2 for arguments that cannot be served.
     """
-    try:  # The imports are inside, because a bus needs neither MuJoCo nor a compiler.
+    try:  # The imports are inside the function, because a bus needs neither MuJoCo nor a compiler.
         check_words(words)
         if words[:1] == ["bus"]:
             from firmware_sim.programs import bus as alone

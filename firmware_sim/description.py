@@ -33,7 +33,7 @@ TABLE_POWERS = 4
 
 
 class SimulatorError(ValueError):
-    """An error that the user of the simulator can correct. Its text is one line."""
+    """An error that the user of the simulator can correct, with a text of one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,7 +353,7 @@ def load_hand(name_or_path: str) -> Hand:
 
 
 def _resolved(raw: dict[str, Any]) -> dict[str, Any]:
-    """Return a hand file of schema 2 with the values that its defaults and templates stand for."""
+    """Return a hand file of schema 2 with its defaults and templates replaced by values."""
     if raw.get("schema") != 2:
         return raw
     sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}

@@ -145,7 +145,10 @@ def _compiled(path: str, kind: str, root: ET.Element, notes: list[str]) -> tuple
 
 
 def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
-    """Give the meshes of a URDF the paths where their files are. MuJoCo knows no packages, and drops folders."""
+    """Give the meshes of a URDF the paths where their files are.
+
+    MuJoCo does not support packages, and ignores folders.
+    """
     places = {PurePath(name).name: place for name, place in urdf_files(root, folder).items()}
     for mesh in spec.meshes:
         mesh.file = str(places.get(PurePath(mesh.file).name, mesh.file))

@@ -82,7 +82,7 @@ class Pace:
         """Count a slip, and report it unless a report was made within the last second.
 
         Args:
-            behind_ns: time given up [ns of plant time].
+            behind_ns: time lost by a slip [ns of plant time].
             plant_ns: time of the plant [ns].
         """
         self._slips += 1

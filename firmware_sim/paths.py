@@ -43,7 +43,9 @@ def run_dir() -> Path:
 
 
 def _parent_dir(folder: Path, own_parts: int) -> Path:
-    """Return the directory above the run directory's own parts. Only the system may have links in its path.
+    """Return the directory that contains the private directories of the run directory.
+
+    Only the system may have links in its path.
 
     Raises:
         SimulatorError: a directory is a link of a user.

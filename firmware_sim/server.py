@@ -18,7 +18,7 @@ MAX_TURN_NS = 1_000_000
 OVERRUN_NS = 5 * MAX_TURN_NS
 """Delay of the plant that counts as an overrun [ns of plant time]."""
 MAX_DELAY_NS = 150_000_000
-"""Delay at which the plant's clock gives up the lost time [ns of plant time]."""
+"""Delay of the plant at which its clock slips by the lost time [ns of plant time]."""
 MAX_READS_PER_TURN = 64
 """Maximum reads of the ports in one turn. The limit keeps a full wire from stopping the plant."""
 SLIP_PAUSE_S = 0.005
@@ -57,7 +57,7 @@ class ServerClock(Protocol):
 
 
 class Served(Protocol):
-    """Nodes on the buses: those of a hand, or drives on a bench.
+    """Nodes on the buses: the nodes of a hand, or drives on a bench.
 
     Attributes:
         t_ns: clock of the nodes [ns].
@@ -179,7 +179,7 @@ class Server:
         Returns:
             The sockets that are ready for reading.
         """
-        # The world's clock is behind the wall clock by the time given up.
+        # The world's clock is behind the wall clock by the time lost by slips.
         due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         return self._ready_links(max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9))

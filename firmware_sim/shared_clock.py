@@ -1,9 +1,9 @@
 """A clock shared with the controller on this machine, which pauses where the machine is too slow.
 
-The operating system may stop the simulator for many milliseconds. Its answers are then late,
-although the simulated hand works correctly. A controller that uses the shared clock waits for the
-answers. The simulator never advances beyond the gate, a time that the controller sets in every
-tick.
+The operating system may stop the simulator for many milliseconds. The answers of the simulator are
+then late, although the simulated hand works correctly. A controller that uses the shared clock
+waits for the answers. The simulator never advances beyond the gate, a time that the controller sets
+in every tick.
 
 The file of the clock has six 64-bit integers, which both processes map:
 
@@ -30,8 +30,8 @@ OPEN_GATE = 2**63 - 1
 MAX_GATE_WAIT_NS = 120_000_000
 """Longest wait at the gate [ns of wall time]. A controller that stays away for longer has stopped or died.
 
-This wait is below the delay at which the plant gives up time, and above the longest pause for a
-late controller.
+This wait is shorter than the delay at which the plant's clock slips, and longer than the longest
+pause for a late controller.
 """
 
 

@@ -1,4 +1,4 @@
-"""Plant and nodes together, driven by time and frames. The world knows neither sockets nor clocks.
+"""Plant and nodes together, driven by time and frames. The world uses neither sockets nor clocks.
 
 Injected faults act between nodes and wire, in a node, in a sensor or in the plant. See ``faults``.
 """
@@ -44,7 +44,7 @@ class World:
         plant: the mechanics.
         nodes: nodes of each bus of the hand.
         t_ns: clock of plant and nodes [ns].
-        slip_ns: time given up because this process did not run [ns].
+        slip_ns: time lost by slips, because this process did not run [ns].
         foreign: frames that no node handled.
         sensor_node: node of load cells and joint encoders, or all amplifiers.
         sensor_nodes: the nodes of load cells on the wire.

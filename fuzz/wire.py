@@ -2,8 +2,8 @@
 
     state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
 
-The first byte selects the initial state. The corpus starts with the frames that a drive really received in
-each state on its way to torque, because random identifiers belong to no node.
+The first byte selects the initial state. The corpus starts with the frames that a drive receives in
+each state until it makes torque, because random identifiers belong to no node.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -75,7 +75,7 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]
 
 
 def answers(name: str, folder: Path) -> list[bytes]:
-    """Return the frames that a drive really received on its way to torque, as inputs."""
+    """Return the frames that a drive receives until it makes torque, as inputs."""
     motor, seen = path_to_torque(name, folder)
     ours = identifiers(motor, seen)
     inputs = []
@@ -86,7 +86,10 @@ def answers(name: str, folder: Path) -> list[bytes]:
 
 
 def identifiers(motor: Drive, seen: Sequence[RecordedState]) -> list[int]:
-    """Return the identifiers that a byte of an input selects: those of received frames first, at most 256."""
+    """Return the identifiers that a byte of an input selects, at most 256.
+
+    Identifiers of received frames come first.
+    """
     received = {frame.can_id for one in seen for frame in one.received}
     return [*sorted(received), *sorted(motor.node_ids - received)][:256]
 

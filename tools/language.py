@@ -237,7 +237,7 @@ def print_table(tallies: dict[str, Tally]) -> None:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Check, or do what the options say; return the exit code."""
+    """Check the counts, or execute the options, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--table", action="store_true", help="print all counts")
     parser.add_argument("--places", nargs=2, metavar=("COUNT", "FOLDER"), help="print where a count comes from")

@@ -17,7 +17,7 @@ from exchange.ways import feedback
 
 
 class Damiao:
-    """damiao-motor. Its polling thread is stopped, and `receive` polls instead."""
+    """damiao-motor, whose polling thread is stopped. The method `receive` polls instead."""
 
     answer = staticmethod(feedback)
 

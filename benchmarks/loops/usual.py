@@ -102,7 +102,7 @@ class BaselineLoop:
 
 
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run for some time, and return the same results as ``ours.run``."""
+    """Run for some time, and return results like those of ``ours.run``."""
     loop = BaselineLoop(hand_name, bus_name, log)
     take_priority()
     loop.send_all(ENABLE)

@@ -22,7 +22,9 @@ def averaged(raw: Array, weight: float) -> Array:
 
 
 def cell_alone(raw: Array, period: float, noise: float, rate: float) -> Array:
-    """Run a Kalman filter of tension and its rate on the load cell alone, predicted to the present, (ticks, N).
+    """Run a Kalman filter of tension and tension rate with only the load cell.
+
+    The result is the prediction for the present, (ticks, N).
 
     Args:
         raw: (ticks, N) samples, one period old [N].

@@ -1,8 +1,8 @@
 """A force step on a held object with three inputs of the force loop: none, the raw sensor, the estimate.
 
 The digits close on a cylinder, hold 15 N per tendon, step to 40 N (5000 N/s), and step back to 15
-N. The results are those of the true tension at the load cells, for every tendon whose digit is in
-contact.
+N. The results are computed from the true tension at the load cells, for every tendon whose digit is
+in contact.
 """
 
 from dataclasses import dataclass, field
@@ -39,7 +39,10 @@ TASK = {
 PLANTS = {plant: wrong for plant, wrong in plants.PLANTS.items() if "mass" not in wrong}
 """Plants with wrong parameters. A wrong mass is left out, because the hand hardly moves."""
 WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
-"""Gains of both loops: tension error and motor force of equal cost, and the integral gain. They were not tuned."""
+"""Gains of both loops: tension error and motor force of equal cost, and the integral gain.
+
+These gains were not tuned.
+"""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
 finger touches the thumb. In the benchmarks of free motion the digits must touch nothing. The digits
-of these hands are therefore moved apart. Everything else is the same.
+of these hands are therefore moved apart. All other properties of the hands are unchanged.
 """
 
 from functools import cache

@@ -21,7 +21,7 @@ NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 
 
 def zero_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """Return zero torque: feedback alone."""
+    """Return zero feedforward torque, so that only feedback acts."""
     return (0.0,) * digit.joint_count
 
 
@@ -107,7 +107,10 @@ class Law:
     raw: bool = False
 
     def gains(self, position_error_m: float, speed_error_m_s: float, rate_hz: float) -> Gains:
-        """Return gains with the two tuned weights. The other gains are fixed here, whatever the packaged gains are."""
+        """Return gains with the two tuned weights.
+
+        The other gains are fixed here, and do not depend on the packaged gains.
+        """
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
         fixed = {"force_N": FORCE_N * force_scale(rate_hz), "disturbance_rejection": 1.0, "tension_feedback": 0.3}
         return Gains(motion=MotionGains(**{**fixed, **weights, **self.motion}))

@@ -49,7 +49,8 @@ class Trial:
         gains: gains of the controller.
         rate_hz: control rate [Hz]. 0 selects the default of the hand.
         limit_s: longest time of the trial [s].
-        change: function that changes the controller before the run. It is a top-level function, or a partial of one.
+        change: function that changes the controller before the run. The function must be a
+            top-level function, or a partial of a top-level function.
     """
 
     hand: str

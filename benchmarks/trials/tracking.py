@@ -1,17 +1,17 @@
 """Ablation of the controller: tracking at three speeds and a force step, adding one part of the control law at a time.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``.
-The digits move from 0 to 60 degrees. The error is that of the true mean joint angle of each digit,
-because one tendon can control only the mean angle. The plant has the effects of the hand files and
-of firmware_sim: capstan and motor friction, tendon elasticity and damping, current loop, encoder
-and load-cell resolution, noise, drift, one period of bus delay. These effects are the same for all
-control laws.
+The digits move from 0 to 60 degrees. The error is computed from the true mean joint angle of each
+digit, because one tendon can control only this mean. The plant has the effects of the hand files
+and of firmware_sim: capstan and motor friction, tendon elasticity and damping, current loop,
+encoder and load-cell resolution, noise, drift, one period of bus delay. These effects are the same
+for all control laws.
 
-Each control law, PD included, has two weights. They are the best pair of ``WEIGHTS`` in the fast
-motion of the plant as known, on a seed that is not used for the results. ``--tune`` searches the
-weights again. The best weights have hardly any stability margin. Therefore the control laws are
-compared a second time, with the best weights that have the margins of packaged gains: 6 dB and 45
-degrees on random plants around the hand file.
+Each control law, PD included, has two weights. The weights of a law are the best pair of
+``WEIGHTS`` for the fast motion of the nominal plant, with a seed that is not used for the results.
+``--tune`` searches the weights again. The best weights have hardly any stability margin. Therefore
+the control laws are compared a second time, with the best weights that have the margins of packaged
+gains: 6 dB and 45 degrees on random plants around the hand file.
 """
 
 import argparse

@@ -90,7 +90,7 @@ def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
 
 
 def other(path: Path, make: Any, messages: list[Message], ticks: int) -> dict[str, float]:
-    """Measure another library. It writes in the loop, and reads all messages."""
+    """Measure another library. The other library writes in the loop, and reads all messages."""
     writer = make(path)
 
     def write() -> None:

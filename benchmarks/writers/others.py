@@ -1,4 +1,7 @@
-"""Other libraries that write logs. Each writes the same decoded messages into a file, and reads the file back."""
+"""Other libraries that write logs.
+
+Each library writes the same decoded messages into a file, and reads the file back.
+"""
 
 import json
 from collections.abc import Callable, Iterator

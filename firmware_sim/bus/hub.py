@@ -145,7 +145,7 @@ class Hub:
         return [self._listener, *(link.socket for link in self._links)]
 
     def writers(self) -> list[socket.socket]:
-        """Return the sockets to poll for writing: those of the clients to which a part of a record is still unsent."""
+        """Return the sockets of clients with an incomplete record, to poll for writing."""
         return [link.socket for link in self._links if link.unsent]
 
     def serve(self, ready: Collection[socket.socket]) -> bytes:

@@ -80,7 +80,7 @@ def open_port(spec: str, bus: int, timed_port: Callable[[str, int], Port] | None
 
 
 def is_on_this_machine(spec: str) -> bool:
-    """Return whether all frames of a bus stay on this machine, so that a pause of the clock delays none of them."""
+    """Return True if all frames of a bus stay on this machine. A pause of the clock then delays no frame."""
     kind, _, name = spec.partition(":")
     return kind == "local" or (kind == "socketcan" and (VIRTUAL_INTERFACES / name).exists())
 

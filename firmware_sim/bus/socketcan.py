@@ -74,7 +74,7 @@ class SocketCanPort:
         return frames
 
     def _frame(self, raw: bytes) -> Frame:
-        # The kernel tells the formats apart by the read size: 16 bytes classical, 72 bytes FD.
+        # The read size distinguishes the formats: 16 bytes classical, 72 bytes FD.
         if len(raw) == _CLASSICAL.size:
             can_id, length, data = _CLASSICAL.unpack(raw)
             return Frame(can_id, data[: min(length, 8)], 0, self._bus)

@@ -48,12 +48,12 @@ class Faults:
 
     @property
     def t_ns(self) -> int:
-        """Return the time of the truth file [ns]: the world's time plus the time given up."""
+        """Return the time of the truth file [ns]: the world's time plus the time lost by slips."""
         return int(self._world.t_ns + self._world.slip_ns)
 
     @property
     def slip_ns(self) -> int:
-        """Return the time given up because this process did not run [ns]."""
+        """Return the time lost by slips, because this process did not run [ns]."""
         return int(self._world.slip_ns)
 
     def inject(self, text: str) -> Fault:

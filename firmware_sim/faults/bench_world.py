@@ -19,7 +19,7 @@ class BenchInterface(Protocol):
     Attributes:
         motors: rotors in the order of the specs.
         nodes: nodes in the order of the specs.
-        slip_ns: time given up [ns].
+        slip_ns: time lost by slips [ns].
         part_ns: completed part of a divided step [ns].
     """
 
@@ -92,7 +92,7 @@ class BenchWorld:
 
     @property
     def slip_ns(self) -> int:
-        """Return the time given up [ns]."""
+        """Return the time lost by slips [ns]."""
         return self._bench.slip_ns
 
     def node_of(self, name: str) -> Any:

@@ -243,7 +243,7 @@ class _CrossedMotor:
     """A drive's motor whose sensors belong to one rotor and whose power stage belongs to another rotor.
 
     Attributes:
-        servo: setpoints of the driven rotor. All other attributes are those of the sensed rotor.
+        servo: setpoints of the driven rotor. All other attributes belong to the sensed rotor.
     """
 
     def __init__(self, sensed: Any, driven: Any) -> None:

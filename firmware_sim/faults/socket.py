@@ -26,7 +26,7 @@ def is_served(path: Path) -> bool:
 
 
 class FaultSocket:
-    """A Unix datagram socket that takes JSON requests and answers with a JSON object.
+    """A Unix datagram socket that receives JSON requests and answers with a JSON object.
 
     Requests are ``{"inject": TEXT}``, ``{"list": true}``, ``{"kinds": true}`` and ``{"pace":
     true}``.

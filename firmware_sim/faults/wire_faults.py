@@ -106,7 +106,7 @@ def _duplicate(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Fram
 
 
 def _twin(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send frames as a second node with the same identifier would, with another payload."""
+    """Send additional frames with the same identifier and another payload, as from a second node."""
     sent = []
     for frame in frames:
         sent.append(frame)

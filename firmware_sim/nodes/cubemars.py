@@ -119,7 +119,7 @@ class CubemarsNode:
         self._silent_until_ns = 0
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Answer a frame on the same identifier.
+        """Answer a frame with a frame of the same identifier.
 
         Returns:
             The answers, None if the frame is not for this motor.

@@ -10,7 +10,7 @@ import numpy as np
 from firmware_sim.compiled import compiled
 
 BLOCK_SIZE = 512
-"""Numbers drawn at a time. Even, because numbers come in pairs."""
+"""Number of random numbers per block. The number is even, because the algorithm generates pairs."""
 
 
 @compiled("vector", "vector")

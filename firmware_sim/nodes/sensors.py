@@ -239,7 +239,7 @@ class SensorNode:
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames that come in every tick."""
+        """Return the identifiers of the frames that the node receives in every tick."""
         return (self._spec.sync_id,)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:

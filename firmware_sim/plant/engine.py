@@ -43,7 +43,7 @@ class Engine:
         n = joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
         self.native = _native(model, data)
-        # Views into MuJoCo's memory. They stay valid for the life of the data.
+        # These arrays are views into MuJoCo's memory, which are valid for the life of the data.
         self.q: Any = data.qpos[:n]
         self.dq: Any = data.qvel[:n]
         self.applied: Any = data.qfrc_applied[:n]

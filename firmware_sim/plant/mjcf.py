@@ -89,7 +89,7 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 
 def opposed_digits(hand: Hand) -> list[bool]:
-    """Return, for each digit, True if it closes against the first one that closes (as the thumb does)."""
+    """Return True for each digit that closes against the first closing digit, such as the thumb."""
     first = _closing_direction(hand, hand.closing[0])
     return [float(first @ _closing_direction(hand, digit)) < 0.0 for digit in hand.digits]
 
@@ -155,7 +155,7 @@ def _mesh_assets(shown: dict[str, LinkMesh]) -> str:
     """Build the assets of the meshes, empty without meshes."""
     if not shown:
         return ""
-    # The inertia of a shell is defined for open surfaces, too. It has no effect.
+    # The inertia of a shell is also defined for open surfaces, and has no effect.
     meshes = "".join(
         f'<mesh name="{link}" file={quoteattr(mesh.file)} scale="{_text(mesh.scale)}" inertia="shell"/>'
         for link, mesh in shown.items()
@@ -248,7 +248,10 @@ def _digit_bits(opposed: bool, near_palm: bool) -> tuple[int, int]:
 
 
 def _carrier_bits() -> tuple[int, int]:
-    """Return category and affinity of a link of a digit that carries others, which are those of the palm."""
+    """Return category and affinity of a link of a digit that carries other digits.
+
+    Both are equal to category and affinity of the palm.
+    """
     return PALM_BIT, OBJECT_BIT
 
 

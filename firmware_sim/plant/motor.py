@@ -29,7 +29,7 @@ def step_factors(step_s: float) -> tuple[float, float, float]:
 
 
 class Motor:
-    """The rotor of one motor. Its kernels are in ``drivetrain``.
+    """The rotor of one motor. The kernels of a motor are in ``drivetrain``.
 
     Attributes:
         theta: spool angle, positive winds [rad].

@@ -80,7 +80,7 @@ class Plant:
             self._rotors, rotors = motor_rows(hand.motors, STEP_S)
         else:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
-        # Index of each spool pair's second tendon by that of the first.
+        # Index of the second tendon of each spool pair, by the index of its first tendon.
         firsts = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
         self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(firsts)}
         self.motors = {spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)}
@@ -144,7 +144,7 @@ class Plant:
             wound = -rng.uniform(*SLACK_M)  # A negative angle is unwound.
             motor.theta = wound / tendon.radius
             if spec.pretension:
-                # A spool pair is taut. It was mounted with the spool at this angle.
+                # A spool pair is taut, because it was mounted with the spool at this angle.
                 tendon.extra_length += wound
                 self.tendons[self._antagonist[i]][0].extra_length -= wound
 

@@ -1,4 +1,7 @@
-"""C structures of tendons and rotors for compiled kernels. In Python any object with the same attributes serves."""
+"""C structures of tendons and rotors for compiled kernels.
+
+In Python any object with these attributes can be used.
+"""
 
 import ctypes
 from dataclasses import dataclass

@@ -23,7 +23,7 @@ def _pulley(spec: TendonSpec, joint: str) -> tuple[float, ...]:
 
 
 class Tendon:
-    """The tendon. Its kernels are in ``drivetrain``.
+    """The tendon. The kernels of a tendon are in ``drivetrain``.
 
     Attributes:
         tension: tension at the load cell, between spool and first pulley, in the last step [N].

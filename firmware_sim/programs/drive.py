@@ -62,7 +62,7 @@ class Bench:
     Attributes:
         motors: rotors in the order of the specs.
         nodes: nodes in the order of the specs.
-        slip_ns: time given up [ns].
+        slip_ns: time lost by slips [ns].
         part_ns: completed part of a divided step [ns].
         faults: faults injected while it runs.
     """

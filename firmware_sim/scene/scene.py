@@ -77,7 +77,10 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """An object with its support, its load and the stages after the grasp. A free hand has none of them."""
+    """An object with its support, its load and the stages after the grasp.
+
+    A free hand has no object, support, load or stages.
+    """
 
     name: str
     grasp_object: GraspObject | None = None
@@ -87,7 +90,7 @@ class Scene:
 
 
 def packaged() -> list[str]:
-    """List the names of the scenes that come with the simulator."""
+    """List the names of the scenes packaged with the simulator."""
     folder = importlib.resources.files("firmware_sim") / "scenes"
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 

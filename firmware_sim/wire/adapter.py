@@ -10,7 +10,7 @@ import random
 from typing import NamedTuple
 
 CLOCK_DRIFT = 1e-4
-"""Difference between the clock of USB frames and that of the host, so that all phases occur."""
+"""Relative difference between the clocks of USB frames and host, so that all phases occur."""
 
 
 class Adapter(NamedTuple):
@@ -42,7 +42,10 @@ NONE = "none"
 
 
 class Latency:
-    """Latency of one adapter. Each call of a method needs a time that is not earlier than that of the call before."""
+    """Latency of one adapter.
+
+    The time in each call of a method must not be before the time in the previous call.
+    """
 
     def __init__(self, kind: str, seed: int = 0) -> None:
         """Make an adapter with a random phase of its USB frames.

@@ -150,8 +150,8 @@ class CanController:
     def count_unacknowledged(self, t_ns: int) -> None:
         """Count an error because no controller acknowledged the frame.
 
-        The counter of a passive sender stays, so that a controller alone on the bus never goes off
-        the bus.
+        The counter of a passive sender does not change, so that the only controller on a bus never
+        goes off the bus.
         """
         if self.state < ErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_STEP

@@ -45,7 +45,7 @@ OTHERS: dict[str, Callable[[], None]] = {
     "paper": draw_paper,
 }  # fmt: skip
 SLOW = ("tune-search", "tune-verify")
-"""Pictures that take minutes each. They are drawn only if they are named."""
+"""Pictures that take minutes each, and are drawn only on request by name."""
 NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, *OTHERS)
 
 

@@ -1,4 +1,7 @@
-"""Runs of the simulated hand behind the figures, all in lockstep and therefore the same every time."""
+"""Runs of the simulated hand for the figures.
+
+All runs are in lockstep, so that they are reproducible.
+"""
 
 import contextlib
 import io

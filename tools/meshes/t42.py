@@ -1,6 +1,6 @@
 """Meshes of the hand t42 in millimetres: palm, inner link and outer link.
 
-The lengths of the links, the distance of the fingers and the section of 16 x 18 mm are those of
+The lengths of the links, the distance of the fingers and the section of 16 x 18 mm are taken from
 t42.toml. All other sizes are chosen.
 """
 

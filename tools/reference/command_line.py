@@ -28,7 +28,7 @@ def verbs() -> str:
 
 
 def _parser(parser: argparse.ArgumentParser, command: str, level: str) -> Iterator[str]:
-    """Yield the section of a verb, and those of its sub-verbs."""
+    """Yield the section of a verb, and the sections of its sub-verbs."""
     yield f"{level} {command}"
     yield prose(parser.description)
     rows = [_row(action) for action in parser._actions if _is_listed(action)]

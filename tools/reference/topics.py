@@ -109,7 +109,7 @@ def content(topic: str, note: str) -> tuple[str, str]:
 
 
 def message_types() -> str:
-    """Return the definitions of handctl's own message types, and of the two that most topics use."""
+    """Return the definitions of the message types of handctl, and of two types that most topics use."""
     parts = []
     for name, definition in DEFINITIONS.items():
         if name.startswith(PRINTED_TYPES):

@@ -28,7 +28,10 @@ WRONG_STATE = 0x08000022
 UNKNOWN_COMMAND = 0x05040001
 """SDO abort code: no such command. Source: CiA 301."""
 CLIENT_ABORTS = 0x80
-"""First byte of a request with which the client aborts a transfer. It has no reply."""
+"""First byte of a request with which the client aborts a transfer.
+
+The drive does not answer this request.
+"""
 
 COMMANDS = {
     (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60FF, 0),

@@ -171,7 +171,7 @@ class Cia402Node:
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames that come in every tick."""
+        """Return the identifiers of the frames that the node receives in every tick."""
         standard = {self.master_id, self.rpdo_id} | ({self.sync_id} if self.tpdo_id >= 0 else set())
         return tuple(standard - {-1, 0, 0x600 + self.node_id})
 

@@ -3,8 +3,8 @@
 Control word: bit 0 switch on, bit 1 enable voltage, bit 2 quick stop (0 stops), bit 3 enable
 operation, bit 7 fault reset (rising edge).
 
-Choices: 0x0F in *ready to switch on* takes transitions 3 and 4 at once. Quick stop goes on to
-*switch on disabled* without a command. *Fault reaction* is passed within one step.
+Choices: control word 0x0F in *ready to switch on* executes transitions 3 and 4 together. Quick stop
+goes on to *switch on disabled* without a command. *Fault reaction* is passed within one step.
 """
 
 import ctypes

@@ -201,7 +201,7 @@ class AmplifierNode:
                 self._out.append(Frame(can_id & 0x7FF, self.objects.payload(i)))
 
     def _sample(self) -> None:
-        """Read the own load cells."""
+        """Read the load cells of this amplifier."""
         readings = self._load_cells.sample(self._now_ns)
         self.objects.readings = [float(readings[i]) for i in self.cells]
 

@@ -59,7 +59,7 @@ SHORT = 0x7130
 LONG = 0x9130
 """Process value with 32 bits."""
 _INVALID = {SHORT: -(1 << 15), LONG: -(1 << 31)}
-"""Integers that stand for an overload. A float is NaN. Source: WIKA MH-4-CAN."""
+"""Integer values that report an overload. A float reports it as NaN. Source: WIKA MH-4-CAN."""
 _SIZES = {FLOAT: 4, SHORT: 2, LONG: 4, 0x6150: 1}
 """Sizes of the objects that can be mapped [bytes]."""
 

@@ -76,7 +76,9 @@ RATINGS = {
 }
 """Ratings by motor type. Source: wiki of Seeed Studio, table in "Damiao Series"."""
 STALL_FACTOR = 2.0
-"""Stall torque divided by TMAX of a motor without a published rating. Its no-load speed is VMAX.
+"""Stall torque divided by TMAX of a motor without a published rating.
+
+The no-load speed of such a motor is VMAX.
 
 Both are assumptions.
 """

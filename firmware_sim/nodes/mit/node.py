@@ -141,7 +141,7 @@ class MitNode:
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames that come in every tick."""
+        """Return the identifiers of the frames that the node receives in every tick."""
         return (self.node_id,)
 
     def _update_derived(self) -> None:

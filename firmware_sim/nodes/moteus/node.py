@@ -355,7 +355,7 @@ class MoteusNode:
         servo.limit = largest
 
     def trip(self, fault: int) -> None:
-        """Enter the fault mode with a code. Timeout is a mode of its own, without a code."""
+        """Enter the fault mode with a code. Timeout is a separate mode without a code."""
         self.motor.servo.release()
         self.mode = TIMEOUT if fault == TIMEOUT else FAULT
         self.fault = 0 if fault == TIMEOUT else fault

@@ -43,7 +43,10 @@ COMMANDS: Mapping[int, tuple[float, float, float]] = {
     0x02A: mp.VOLTAGE, INTEGRATOR_SCALE: mp.FRACTION, 0x02C: mp.CURRENT, IGNORE_BOUNDS: mp.PLAIN,
     LOWER_BOUND: mp.POSITION, UPPER_BOUND: mp.POSITION, 0x01C: mp.CURRENT, 0x01D: mp.CURRENT,
 }  # fmt: skip
-"""Registers of a command, with their steps. They last until the next write of the mode."""
+"""Registers of a command, with their steps.
+
+The values of these registers last until the next write of the mode.
+"""
 SHADOWS = {
     0x042: FEEDFORWARD, 0x043: KP_SCALE, 0x044: KD_SCALE, 0x045: MAX_TORQUE, 0x046: TIMEOUT, 0x047: INTEGRATOR_SCALE,
     0x048: IGNORE_BOUNDS,

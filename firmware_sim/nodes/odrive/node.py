@@ -222,7 +222,7 @@ class OdriveNode:
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames that come in every tick."""
+        """Return the identifiers of the frames that the node receives in every tick."""
         return self.node_id << 5 | 0x0E, self.node_id << 5 | 0x09 | REMOTE
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:

@@ -80,7 +80,7 @@ def campaign_scenarios(
     row_ids: Sequence[str] = (),
     seed: int = 0,
 ) -> list[Scenario]:
-    """Return the scenarios to run: all, a sample of every seventh, or those of some rows.
+    """Return the scenarios to run: all, every seventh, or the scenarios of some rows.
 
     The seed determines the first scenario of the sample, so that the next seed selects other
     scenarios.
@@ -130,7 +130,7 @@ def run_campaign(
         scenarios_to_run = [] if fault_free_only else campaign_scenarios(hand, protocol, rate, quick, row_ids, seed)
         results = report.results[protocol] = []
 
-        # The defaults bind the present values. A closure would see those of the last protocol.
+        # The defaults bind the present values. A closure would use the values of the last protocol.
         def done(
             result: ScenarioResult,
             results: list[ScenarioResult] = results,

@@ -26,7 +26,7 @@ from handctl.programs.task import Task
 from handctl.session.simulate import Simulation, Simulator
 
 FIRST_NODE = 0x10
-"""Node id of the first motor, for protocols other than that of the hand file."""
+"""Node id of the first motor, if the protocol differs from the hand file."""
 DATA_BITRATE = 5_000_000
 """Data bit rate of the buses of a hand with drives that need CAN FD [bit/s]."""
 TASK: dict[str, Any] = {

@@ -315,7 +315,7 @@ def _controller(path: str) -> Controller:
 def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
     """Return the lowest and the highest target of each name (V,) [deg].
 
-    The range of a digit is that of its coordinate with the smallest range.
+    The range of a digit is the range of its coordinate with the smallest range.
     """
     if space == "joint":
         digits = model.hand.digit

@@ -19,7 +19,7 @@ SUCCESS_HOLD_S = 1.0
 DROP_DISTANCE_M = 0.015
 """Fall from which the object counts as dropped [m]."""
 RATE_N_PER_S = 40.0
-"""Rate at which a tension approaches that of the action [N/s]."""
+"""Rate at which a tension approaches the tension of the action [N/s]."""
 SUCCESS_REWARD = 10.0
 FAILURE_REWARD = -1.0
 """Reward for a held object, and reward for a dropped object or a fault."""

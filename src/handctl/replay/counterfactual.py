@@ -1,6 +1,6 @@
 """Commands that other gains would have given in a recorded run, as numbers and as a figure.
 
-The measurements remain those of the log. The figure shows the command of each tick, not the further
+The measurements are taken from the log. The figure shows the command of each tick, not the further
 motion of the hand.
 """
 

@@ -14,7 +14,7 @@ from handctl.log.topics.chain import HASH_SIZE, TOPIC, tick_hash
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 
 NO_CHANNEL = -1
-"""Channel number that stands for a topic missing from the log, for example in a version without the hash chain."""
+"""Channel number of a topic that is missing from the log, for example in a version without the hash chain."""
 
 
 class _Tick(NamedTuple):

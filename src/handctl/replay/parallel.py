@@ -2,8 +2,8 @@
 
 Each part starts from a state whose hash is in the log. If the previous part ends with the same
 hash, a serial run would reach the same state, and the results of the parts can be added. If the
-hashes differ, the rest of the log is executed serially. The result is therefore always that of a
-serial run.
+hashes differ, the rest of the log is executed serially. The result is therefore always equal to the
+result of a serial run.
 """
 
 import json

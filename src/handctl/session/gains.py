@@ -61,7 +61,7 @@ def layered_gains(
 def gains_for(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
     """Read a gains file, and check that the gains are for this hand.
 
-    Gains for an earlier description of the same hand are accepted with a notice to the operator.
+    Gains for an earlier description of this hand are accepted with a notice to the operator.
 
     Raises:
         ConfigError: the file cannot be used, or is for another hand.

@@ -79,7 +79,7 @@ class Plan:
 
     @property
     def simulated(self) -> bool:
-        """Return True if the plan has buses and none of these can have real motors."""
+        """Return True if the plan has buses, but no bus that can have real motors."""
         return bool(self.buses) and not real_buses(self.buses)
 
     def on(self, buses: tuple[str, ...]) -> "Plan":

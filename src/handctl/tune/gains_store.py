@@ -111,7 +111,7 @@ class GainsStore:
     def rollback(self, to: int | None = None) -> GainsFile:
         """Restore the gains before the present gains, or the gains with a given number.
 
-        Number 0 stands for the packaged gains.
+        Number 0 restores the packaged gains.
 
         Raises:
             ConfigError: There are no earlier gains, or the number does not exist.

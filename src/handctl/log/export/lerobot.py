@@ -7,8 +7,8 @@ estimated angle.
 
 Names of vector elements end in their unit: `index_j1.pos_rad`, `index_tendon.tension_N`.
 
-Statistics of the whole dataset are in `meta/stats.json`, those of each episode in columns of
-`meta/episodes`. LeRobot uses the statistics per episode when splitting a dataset or deleting
+Statistics of the whole dataset are in `meta/stats.json`, and statistics of each episode in columns
+of `meta/episodes`. LeRobot uses the statistics per episode when splitting a dataset or deleting
 episodes.
 
 Source: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`: paths and fields.

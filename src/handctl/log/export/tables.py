@@ -33,7 +33,7 @@ UNITS = {
     "motor_age": "s", "drive_phase": "1",
     "tip_force": "N", "contact": "1",
 }  # fmt: skip
-"""Unit of each telemetry quantity. 1 stands for a plain number."""
+"""Unit of each telemetry quantity, 1 for a plain number."""
 
 VARIANT_SUFFIX = re.compile("_(goal|raw|sigma)$")
 """Suffixes of field names that do not change the unit."""

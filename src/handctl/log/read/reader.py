@@ -299,7 +299,7 @@ class RunLog:
         """Read the given columns of the telemetry (ticks, columns).
 
         Raises:
-            LogError: the sequence numbers differ from those of the ticks.
+            LogError: the sequence numbers of telemetry and ticks differ.
         """
         parts = [np.empty((0, columns.stop - columns.start))]
         sequence = [np.empty(0, np.uint32)]

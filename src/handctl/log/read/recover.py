@@ -77,7 +77,7 @@ def recover_log(path: Path, out: Path) -> Recovery:
 
 
 def scan_damaged(file: LogFile, scan: RecordScan) -> str:
-    """Scan a file as `scan_records` does, and return its defect instead of raising.
+    """Scan a file like `scan_records`, but return the defect of the file instead of raising an error.
 
     The intact records before and after a damaged record are in `scan`.
     """

@@ -23,7 +23,7 @@ HASH_SIZE = 8
 
 
 def first_hash(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
-    """Compute the hash before the first tick, over all data of a run except those of machine and date."""
+    """Compute the hash before the first tick, over all data of a run except data about machine and date."""
     digest = hashlib.blake2b(digest_size=HASH_SIZE)
     texts = {
         f"{group}.{name}": text.encode("utf-8", "backslashreplace")

@@ -159,7 +159,7 @@ def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
     for request in tick.tick_in.requests:
-        if not is_routine(request):  # streamed targets have their own topic
+        if not is_routine(request):  # Streamed targets have a separate topic.
             yield "info", "request", request
     for event in tick.events:
         yield event.level, event.name, f"{event.where}: {event.text}" if event.where else event.text

@@ -40,7 +40,7 @@ Including the pause, the write, and a busy machine, a killed recorder loses less
 SYNC_PERIOD_S = 1.0
 """Interval between syncs of the file to disk [s]."""
 NICE = -10
-"""Scheduling priority of the recorder, above that of other programs where permitted.
+"""Scheduling priority (nice value) of the recorder, above other programs if the system permits it.
 
 The control loop has real-time priority, and precedes the recorder.
 """

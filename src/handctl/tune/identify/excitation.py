@@ -76,7 +76,7 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
 
 
 def is_sprung(hand: Hand, digit: str) -> bool:
-    """Return True if springs open a digit. Otherwise its tendons open it."""
+    """Return True if springs open a digit, False if tendons open the digit."""
     return any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
 
 

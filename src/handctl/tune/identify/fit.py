@@ -1,4 +1,4 @@
-"""Fit of a tendon's parameters to all equations at once.
+"""Simultaneous fit of all parameters of a tendon to all equations.
 
 The slow drift of the load cell is fitted too.
 
@@ -323,7 +323,7 @@ def _cell_noise(quiet: Array, stated: float) -> float:
 
 
 def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ...], source: Sequence[int]) -> Fit:
-    """Return a fit with some parameters replaced by those of another, independent fit.
+    """Return a fit with some parameters replaced by parameters of another, independent fit.
 
     Args:
         fit: fit of one tendon.
@@ -338,7 +338,7 @@ def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ..
     freedom = fit.freedom.copy()
     z[target] = solution.z[source]
     freedom[target] = solution.freedom[source]
-    # The two fits are independent, so parameters of one have no covariance with those of the other.
+    # The two fits are independent, so their parameters have no covariance with each other.
     covariance[target, :] = covariance[:, target] = 0.0
     covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
     rows_added = np.zeros((rows, len(PARAMETER_NAMES)))

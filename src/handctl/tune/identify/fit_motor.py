@@ -24,8 +24,7 @@ eleven load-cell samples at 500 Hz.
 MIN_HALF_SAMPLES = 6
 """Smallest half length of a window in samples.
 
-The half length is a whole number of samples. Otherwise the sums would not be equal to the
-integrals.
+The half length is a whole number of samples, because only then are the sums equal to the integrals.
 """
 SPACING_FRACTION = 0.4
 """Distance between the centres of windows, as a fraction of their half length."""

@@ -6,8 +6,8 @@
 
 F is the net tension at the spool. In free motion F balances n, which has inertia, weight and
 damping of the links and the friction of both tendons. The stretch of the pair is the difference
-between spool and joints. It follows from F by the characteristic g: the stiffness is 2 k while both
-tendons are taut, and k beyond twice the pretension p.
+between spool and joints. The stretch follows from F by the characteristic g: the stiffness is 2 k
+while both tendons are taut, and k beyond twice the pretension p.
 
 No sensor of a spool pair measures a force, so the torque of the drive is the unit of all forces. If
 a motor makes 10 % less torque than commanded, then its inertia, its friction and the stiffness of

@@ -27,7 +27,7 @@ from handctl.tune.identify.identifiability import (
 )
 
 BAND_HZ = (0.7, 6.0)
-"""Frequency band for the mean coherence [Hz], equal to that of the swing."""
+"""Frequency band for the mean coherence [Hz], equal to the band of the swing."""
 SWEEP_PARAMETERS = (*DIGIT_KEYS, "capstan")
 """Parameters made invalid by a contact during the sweeps.
 
@@ -75,7 +75,7 @@ class TendonResult:
             return None
         at = [PARAMETER_NAMES.index(name) for name in names]
         scale = self.fit.problem.nominal[at]
-        # The fit's parameters are scaled, those of the file are in SI units.
+        # The fit has scaled parameters, and the file has parameters in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
         values = self.fit.values
         widths = self.fit.half_widths

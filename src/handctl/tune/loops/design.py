@@ -300,7 +300,7 @@ def design_gains(
     """Design the largest authority of each loop, and the largest disturbance rejection, within the margins.
 
     Args:
-        model: model of the hand with its present gains. Its filter is kept.
+        model: model of the hand with its present gains. The design keeps the filter of this model.
         plants: ensemble of plants on which the margins must be kept.
         passes_test: function that returns True if the gains of a model pass another test, such as a
             simulation.

@@ -268,7 +268,7 @@ STATE_ROWS = [
     s.PLANNED_TENSION,
     s.PLANNED_TENSION_RATE,
 ]
-"""State rows of a tendon in the feedback: first those of the filter, then those of the control law."""
+"""State rows of a tendon in the feedback: first of the filter, then of the control law."""
 MEASUREMENT_ROWS = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
 """State rows with the tendon's measurements."""
 _STATE_SIZE = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
@@ -388,8 +388,8 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
 def _half_closed(digit: DigitModel) -> Matrix:
     """Return the coordinates (n_c,) of a digit with all joints inside their ranges [rad].
 
-    All joints are at `OPERATING_ANGLE_RAD` if the coupling allows this. Otherwise the point
-    farthest from all limits is used.
+    All joints are at `OPERATING_ANGLE_RAD` if the coupling allows this. If the coupling does not
+    allow this, the point farthest from all limits is used.
     """
     low = digit.joint_min
     high = digit.joint_max

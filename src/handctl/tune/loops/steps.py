@@ -84,7 +84,7 @@ class Swing:
 
     @property
     def at_rest(self) -> bool:
-        """Return True if all oscillations are as small as those of a loop at rest."""
+        """Return True if all oscillations are small enough for a loop at rest."""
         small = (
             self.angle_rad <= MAX_ANGLE_SWING_RAD
             and self.free_N <= MAX_FREE_SWING_N
@@ -93,7 +93,7 @@ class Swing:
         return small and not self.failure
 
     def minus(self, plant_swings_N: tuple[float, ...]) -> "Swing":
-        """Return the oscillation of the held tensions in excess of that of the plant itself [N]."""
+        """Return the oscillation of the held tensions minus the oscillation of the plant itself [N]."""
         remaining = (
             max(0.0, swing - plant_swing) for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
         )

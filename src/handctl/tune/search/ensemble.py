@@ -20,8 +20,8 @@ MIN_SPREAD = {
 }
 """Smallest half width of each factor, even if an identification is more precise.
 
-The stiffness and friction of a tendon change during use. The keys are those of the simulator's
-`perturb`.
+The stiffness and friction of a tendon change during use. The keys are the keys of the simulator's
+option `perturb`.
 """
 
 MAX_SPREAD = 0.9

@@ -3,7 +3,7 @@
 Optuna is asked for trials in fixed batches, and their scores are reported in order. Each batch has
 its own sampler, seeded by the study's seed and the batch's number. Therefore the result does not
 depend on the number of processes, and an interrupted study can be resumed. If all trials of a batch
-were requested from Optuna, the study resumes with the trials that have no score. Otherwise the
+were requested from Optuna, the study resumes with the trials that have no score. An incomplete
 batch is requested again.
 """
 

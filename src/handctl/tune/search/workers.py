@@ -101,7 +101,7 @@ class ProcessPool:
                 attempts[i] += 1
                 if attempts[i] == ATTEMPTS:
                     raise ConfigError(f"a worker died {ATTEMPTS} times on one trial", "tune search", "--jobs 1")
-                # The job of a dead worker comes next, so the order of results changes little.
+                # The job of a dead worker is the next job, so the order of results changes little.
                 waiting.appendleft(i)
 
     def _wait_for_readable(self, busy: Iterable[int]) -> list[int]:
