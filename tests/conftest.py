@@ -61,7 +61,10 @@ def has_clock_tests(path: Path) -> bool:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out files without tests on the real clock if only such tests are selected. Importing all takes 15 s."""
+    """Leave out files without tests on the real clock if only such tests are selected.
+
+    Importing all files takes 15 s.
+    """
     if config.getoption("markexpr") not in ON_CLOCK or not collection_path.match("test_*.py"):
         return None
     return None if has_clock_tests(collection_path) else True
@@ -102,7 +105,10 @@ class Repeats:
         return longest > 0.0
 
     def await_calm(self) -> None:
-        """Wait for ``CALM_S`` without a stall, at most for ``MAX_WAIT_S``. Stalls come in bursts."""
+        """Wait for ``CALM_S`` without a stall, at most for ``MAX_WAIT_S``.
+
+        Stalls occur in bursts.
+        """
         assert self.meter
         until = time.monotonic() + MAX_WAIT_S
         while time.monotonic() < until:

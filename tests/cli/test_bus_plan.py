@@ -84,7 +84,7 @@ def test_load_table_has_the_expected_times_and_rates(
     (row,) = [row for row in rows if (row["protocol"], row["fd"], row["motors"]) == (protocol, fd, motors)]
     assert row["tick_us"] == pytest.approx(tick_us, rel=0.02)
     assert row["max_hz"] == pytest.approx(most * MAX_BUS_LOAD / 0.80, rel=0.02), (
-        "the rate at the limit of every other plan"
+        "maximum rate at the usual limit of the bus load"
     )
     assert [100 * row["load"][rate] for rate in ("250", "500", "1000")] == pytest.approx(loads, rel=0.02)
 
@@ -93,7 +93,7 @@ def test_bus_load_table_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bus", "plan", "--table"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2 + len(VCAN_TABLE)
-    assert lines[1].endswith("Hz at 70%"), "the share that the runner allows"
+    assert lines[1].endswith("Hz at 70%"), "largest bus load that the runner permits"
 
 
 def test_run_refuses_an_overloaded_bus(capsys: pytest.CaptureFixture[str]) -> None:

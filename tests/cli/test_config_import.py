@@ -178,7 +178,7 @@ def test_values_that_a_description_lacks_are_asked_for(place: Path, monkeypatch:
     monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
     assert main(["config", "init", "--urdf", str(TRIPOD), "--cells", "none", "--output", "mine.toml"]) == 0
     content = hand_content("mine.toml")
-    assert not any("Load cells" in text for text in asked), "an option has answered it"
+    assert not any("Load cells" in text for text in asked), "the answer was an option"
     assert len(content["tendon"]) == 6
     assert content["tendon"][1]["moment_arm_m"] == {"finger_a_j1": 0.007, "finger_a_j2": 0.007}
     assert content["motor"][0]["torque_max_N_m"] == pytest.approx(1.4 * 90.0 * 0.008)

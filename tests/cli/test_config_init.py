@@ -56,7 +56,7 @@ def test_questions_are_asked_until_they_are_answered(
     monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
     assert main(["config", "init", "--tension", "50", "--output", "mine.toml"]) == 0
     assert "'one'; expected a whole number" in capsys.readouterr().out
-    assert not any("Largest tension" in text for text in asked), "an option has answered it"
+    assert not any("Largest tension" in text for text in asked), "the answer was an option"
     hand = load_hand("mine.toml")
     assert (hand.name, hand.digit_names) == ("gripper", ("index", "thumb"))
     assert hand.digit[0].link_length_m == (0.055, 0.035)

@@ -188,7 +188,7 @@ def test_a_missing_section_is_named_with_its_forms(place: Path, capsys: pytest.C
     found = {line.partition(":")[0]: line for line in error_lines(capsys)}
     assert found["tendon"].startswith("tendon: missing; expected [[tendon]] sections, or tendon.NAME in each digit: ")
     assert found["mount"].startswith("mount: missing; expected a section [mount]: ")
-    assert "sensor_node" not in found, "a hand may be without"
+    assert "sensor_node" not in found, "a sensor node is optional"
     assert found["digit[left].link_radius_m"].endswith("expected a value: Radius of the links, as a capsule")
 
 

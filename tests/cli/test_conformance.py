@@ -40,7 +40,7 @@ def test_a_good_drive_in_another_process_passes(protocol, more):
         assert found.returncode == 0
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
     if protocol == "mit":
-        assert node["settings"]["torque_max_N_m"] == 10.0, "the torque range is given back"
+        assert node["settings"]["torque_max_N_m"] == 10.0, "the original torque range is restored"
         assert node["state"] == "disabled"
 
 

@@ -87,7 +87,7 @@ def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_na
     assert main(["config", "check", "--hand", "hand.toml"]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if ": no load cell: " in line)
     assert "not judged: N02, N14b" in line
-    assert ("index_tendon" in line) == (not cells), "only tendons without a cell"
+    assert ("index_tendon" in line) == (not cells), "only tendons without a load cell are named"
 
 
 @pytest.mark.parametrize("verb", ["config", "demo"])

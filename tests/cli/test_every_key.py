@@ -185,7 +185,7 @@ def test_every_wrong_key_is_refused(place, capsys, name, path, kind):
         assert "file.toml" in line
         assert "TOML" in line
     elif kind in ALWAYS_WRONG or kind == "renamed":
-        assert "file.toml: " in line, "refused"
+        assert "file.toml: " in line, "the message names the file"
         spoken = (
             key_path_text(without(content, path), path[:-1])
             if kind == "renamed"

@@ -75,7 +75,7 @@ def test_escaped_stream_escapes_every_writer(capsys):
         sys.stdout.writelines([ESCAPES])
         inner = sys.stdout
         with escaped_streams():
-            assert sys.stdout is inner, "escaped once"
+            assert sys.stdout is inner, "a second context does not escape again"
     assert not isinstance(sys.stdout, EscapedStream)
     out, err = capsys.readouterr()
     assert out.startswith("\\x1b[2J")
@@ -100,7 +100,7 @@ def test_a_table_of_rich_escapes_its_cells_and_keeps_its_own_codes(monkeypatch):
     console = rich_console(min_width=80)
     console.file = io.StringIO()
     console.print(Text(f"red{ESCAPES}", style="red"))
-    assert console.file.getvalue().startswith("\x1b[31m"), "rich colours"
+    assert console.file.getvalue().startswith("\x1b[31m"), "codes of rich are not escaped"
     assert "red\\x1b[2J" in console.file.getvalue()
 
 
@@ -248,7 +248,7 @@ def test_json_of_foreign_words_is_utf8_that_others_read(capsys):
     assert is_harmless(text)
     found = json.loads(text)
     json.dumps(found, ensure_ascii=False).encode()
-    assert ESCAPES in found[f"k{ESCAPES}\\udcff"], "nothing but the surrogates has changed"
+    assert ESCAPES in found[f"k{ESCAPES}\\udcff"], "only surrogates are replaced"
 
 
 def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(place):

@@ -29,7 +29,7 @@ def test_a_run_without_room_for_its_picture_keeps_its_numbers(place, capsys):
     result = json.loads(out)
     assert result["ticks"] > 100
     assert result["picture"] is None
-    assert not (place / "run.png").is_symlink(), "half a picture is worth nothing"
+    assert not (place / "run.png").is_symlink(), "an incomplete picture is removed"
 
 
 def test_a_truth_file_that_cannot_be_copied_is_read_in_place(place):

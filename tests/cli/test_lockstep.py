@@ -164,4 +164,4 @@ def test_a_lockstep_run_shows_its_progress(place, capfd):
     assert main(["demo", "--lockstep", "--task", "short.toml", "--log", "run.mcap"]) == 0
     error_output = capfd.readouterr().err
     assert "1.000 s  ACTIVE    bend       tension" in error_output
-    assert "pulling thumb_tendon with 3 N" in error_output, "of the commissioning before it, too"
+    assert "pulling thumb_tendon with 3 N" in error_output, "progress of the commissioning is shown"

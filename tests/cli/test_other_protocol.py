@@ -35,7 +35,7 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
     assert main([*words, "--dry-run", "--json"]) == 0
     command = json.loads(capsys.readouterr().out)["command"]
     assert command[command.index("--hand") + 1] == "jamia-odrive.toml"
-    assert not list(tmp_path.iterdir()), "a dry run leaves nothing"
+    assert not list(tmp_path.iterdir()), "a dry run writes no files"
     started: list[list[str]] = []
     monkeypatch.setattr(os, "execv", lambda program, command: started.append(command) or 0)
     for _ in range(2):

@@ -58,15 +58,15 @@ def test_no_hand_is_the_default_on_a_real_bus(words, capsys):
         for more in ((), ("--yes",), ("--dry-run",)):
             err = refused(capsys, *words, "--bus", bus, *more)
             assert f"--hand: no hand is given, and {bus} may have" in err
-    assert main([*words, "--bus", "local:nobody", "--dry-run"]) == 0, "a simulated one has a default"
+    assert main([*words, "--bus", "local:nobody", "--dry-run"]) == 0, "a simulated bus has a default hand"
 
 
 def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
     said = "jamia on socketcan:can0 is armed and moves index, middle, ring, thumb; expected --yes"
     assert said in refused(capsys, *words, *HAND, "--bus", "socketcan:can0")
-    assert main([*words, *HAND, "--bus", "socketcan:can0", "--dry-run"]) == 0, "nothing moves"
+    assert main([*words, *HAND, "--bus", "socketcan:can0", "--dry-run"]) == 0, "no motion in a dry run"
     capsys.readouterr()
-    assert main([*words, *HAND, "--bus", "socketcan:can0", "--yes"]) == 1, "it comes to the bus, which is not there"
+    assert main([*words, *HAND, "--bus", "socketcan:can0", "--yes"]) == 1, "the only error is the missing bus"
     assert "can0" in capsys.readouterr().err.splitlines()[-1]
 
 
@@ -123,7 +123,7 @@ def test_files_in_use_are_named_in_the_first_line(place, capsys):
         assert first.endswith(" s old")
     named = ("--gains", "jamia.gains.toml", "--calibration", "jamia.calibration.toml")
     assert main(["run", "--bus", "local:nobody", *named]) == 1
-    assert "found in this folder" not in capsys.readouterr().err, "who names them knows"
+    assert "found in this folder" not in capsys.readouterr().err, "files given as options are not announced"
 
 
 @pytest.mark.parametrize(

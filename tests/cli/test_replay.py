@@ -101,7 +101,7 @@ def test_a_truncated_log_is_checked_and_executed_in_part(tmp_path: Path, capsys:
     cut.write_bytes(whole[: len(whole) // 2])
     assert main(["log", "check", str(cut)]) == 3
     assert "incomplete" in capsys.readouterr().out
-    assert main(["replay", "execute", str(cut), "--within", "1e-9"]) == 3, "the prefix is executed"
+    assert main(["replay", "execute", str(cut), "--within", "1e-9"]) == 3, "the ticks before the end are executed"
 
 
 def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> None:
@@ -110,7 +110,7 @@ def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> No
     assert max(map(len, output.splitlines())) < 120
     assert "motion.force_N: " in output
     assert "\nwhole        yes\nproblem      -\n" in output
-    assert not re.search(r"\d{12}", output.partition("identity")[0]), "3.0999999999999996 s"
+    assert not re.search(r"\d{12}", output.partition("identity")[0]), "numbers are rounded"
 
 
 @pytest.mark.parametrize("verb", [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP], ["replay", "safety"]])

@@ -67,7 +67,7 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     assert not any(text.startswith("node") for text in calibration.drive.values())
     path = place / "c.toml"
     write_calibration(path, calibration)
-    assert load_calibration(path, first.plan.hand) == calibration, "it reads back"
+    assert load_calibration(path, first.plan.hand) == calibration, "the calibration is stored without changes"
     calibration = load_calibration(path, first.plan.hand)
     assert first.jog(calibration, "again").state.failure == ""
     outcome = second.jog(calibration, "other")
@@ -78,7 +78,9 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
         assert f"{name} is drive " in outcome.state.failure
         assert f"but was calibrated with drive {text}" in outcome.state.failure
     assert "\n" not in outcome.state.failure
-    assert [text.partition(":")[0] for text in modes(place / "other.mcap")][-1] == "READY -> DONE", "never armed"
+    assert [text.partition(":")[0] for text in modes(place / "other.mcap")][-1] == "READY -> DONE", (
+        "the hand was not armed"
+    )
     for one in (first, second):
         one.peer.close()
 
@@ -131,7 +133,7 @@ def test_identified_values_of_other_drives_are_not_used(place, capsys):
     others = dict.fromkeys(calibration.drive, "0x1")
     capsys.readouterr()
     assert previous_identified(path, hand, others) == {}
-    assert capsys.readouterr().err == "", "there was nothing to leave out"
+    assert capsys.readouterr().err == "", "without identified values there is no notice"
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def random_hand(tendons: int, random: Random) -> Hand:
 
 
 def _motors_with_position_loop(hand: Hand, random: Random) -> set[str]:
-    """Return about half of the motors that may close a position loop: those of digits without antagonists."""
+    """Return about half of the motors that may close a position loop, all on digits without antagonists."""
     if hand.motor[0].protocol not in ("mit", "robstride"):
         return set()
     allowed = set[str]()

@@ -81,7 +81,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(hands: list[tup
     for hand, one, two in zip(hands, mine, json.loads(output), strict=True):
         apart = [i for i, (a, b) in enumerate(zip(one, two, strict=True)) if a != b]
         assert not apart, f"{hand[0]} tendons, seed {hand[1]}: from tick {apart[0]} on"
-        assert len(set(one)) == TICKS, "no tick does nothing"
+        assert len(set(one)) == TICKS, "all ticks differ"
 
 
 def hash_of_segments() -> str:
@@ -149,7 +149,7 @@ from handctl.core import block as s
 def misses(block, at):
     return losses.misses_every_second(state_tables(block, at), 0)
 """
-"""A kernel with a function of another file, which takes a constant from a third file."""
+"""A kernel with a function of another file, which uses a constant of a third file."""
 ASK_SCRIPT = """
 from handctl import compiled
 from handctl.core import block as s
@@ -195,7 +195,7 @@ def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path:
     cache = tmp_path / "cache"
     assert run_copied_kernel(copy, cache) == (True, False, True)
     assert run_copied_kernel(copy, cache) == (True, True, True), (
-        "positive control: what has not changed is not compiled again"
+        "positive control: unchanged code is not compiled again"
     )
     other = copy / "safety" / "faults" / "node.py"
     text = other.read_text(encoding="utf-8")
@@ -226,7 +226,7 @@ def test_without_a_writable_cache_each_process_compiles(copy: Path, tmp_path: Pa
         cache.chmod(0o555)
     result, hit, stored = run_copied_kernel(copy, cache)
     assert (result, hit) == (True, False)
-    assert not stored or (kind == "read-only" and os.geteuid() == 0), "root writes everywhere"
+    assert not stored or (kind == "read-only" and os.geteuid() == 0), "root can write into read-only folders"
 
 
 class KernelSources:

@@ -54,7 +54,7 @@ def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
     assert judged <= set(IDS)
     elsewhere = {entry.id for entry in CATALOGUE if entry.where != TICK}
     assert {entry.id for entry in CATALOGUE if entry.where == TICK} <= judged
-    assert judged & elsewhere <= {"B18", "N12"}, "which are judged before arming, and by the table"
+    assert judged & elsewhere <= {"B18", "N12"}, "only these rows are checked before arming and in every tick"
 
 
 def test_every_row_has_its_visibility_in_each_protocol() -> None:
@@ -104,7 +104,7 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
     for entry in CATALOGUE:
         assert entry.required == required.get(entry.id, 0), entry.id
         needs_why = (entry.ticks or entry.ms) and is_late(entry)
-        assert bool(entry.why) == bool(needs_why), f"{entry.id}: a reason where it takes longer, and only there"
+        assert bool(entry.why) == bool(needs_why), f"{entry.id}: late detection, and no other, needs a reason"
 
 
 def test_the_pages_agree_with_the_code() -> None:

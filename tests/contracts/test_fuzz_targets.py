@@ -28,7 +28,7 @@ def test_seeds_of_a_corpus_are_accepted(name: str, tmp_path: Path) -> None:
     target = TARGETS[name](tmp_path)
     seed_inputs = seeds(name, tmp_path)
     assert seed_inputs
-    assert all(target(seed[: LONGEST[name]]) for seed in seed_inputs), "as long as inputs are at most"
+    assert all(target(seed[: LONGEST[name]]) for seed in seed_inputs), "inputs of the largest length are accepted"
 
 
 @pytest.mark.parametrize("name", DRIVES)

@@ -25,7 +25,7 @@ def test_a_controller_gets_a_calibration_of_its_hand(monkeypatch: pytest.MonkeyP
     done = subprocess.Popen([sys.executable, "-c", ""])
     done.wait()
     monkeypatch.setattr(soak, "start_handctl", lambda *words: done)
-    assert not soak.Soak(1, 1.0).start_controller(), "no controller runs"
+    assert not soak.Soak(1, 1.0).start_controller(), "without a calibration no controller starts"
     hand = load_hand("jamia")
     assert set(load_calibration(tmp_path / "c.toml", hand).drive) == {motor.name for motor in hand.motor}
 

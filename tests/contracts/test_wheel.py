@@ -1,6 +1,7 @@
 """The wheel, installed into a fresh environment outside the repository, runs the demo.
 
-The controller's own packages come first, then the extras: what the first part needs cannot come from the second.
+The packages of the controller are installed first, then the extras.
+The controller therefore cannot use a package of an extra.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Command blocks of the pages, and their execution in a folder of their own."""
+"""Command blocks of the pages, and their execution in an empty folder."""
 
 import os
 import re
@@ -59,7 +59,7 @@ def run_blocks(
     Args:
         parts: blocks of the page. Files are written first.
         prepare: function that adds further files to the folder.
-        beside: commands that run beside those of the page.
+        beside: commands that run at the same time as the commands of the page.
     """
     folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))

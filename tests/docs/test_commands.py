@@ -15,11 +15,17 @@ BLOCKS = {path.relative_to(ROOT / "docs").as_posix(): blocks(path) for path in P
 RUN = {page: [block for block in parts if is_run(block)] for page, parts in BLOCKS.items()}
 """Blocks of each page that are executed, or written to the file that their title names."""
 LONG = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
-"""Pages of the nightly run. Each takes a minute, with commands that other pages have as well."""
+"""Pages of the nightly run.
+
+Each page takes a minute, and has commands that other pages have as well.
+"""
 
 
 def cases() -> Iterator[Any]:
-    """Yield the pages with commands. Those with a process in real time have the marker of such tests."""
+    """Yield the pages with commands.
+
+    Pages with a process in real time have the marker of such tests.
+    """
     for page, parts in RUN.items():
         if any(block.language == "sh" for block in parts):
             marks = [pytest.mark.realtime, pytest.mark.alone] if any(map(stays_open, parts)) else []

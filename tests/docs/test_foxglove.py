@@ -39,7 +39,7 @@ def paths() -> list[tuple[str, str]]:
 
 
 def topics_of_layout() -> set[str]:
-    """Return the topics of all panels, except those of the transforms."""
+    """Return the topics of all panels, except the transforms."""
     scene = PANELS["3D!hand"]
     topics = {PATH.fullmatch(value)[1] for value, _ in paths()}  # type: ignore[index]
     return topics | {layer["topic"] for layer in scene["layers"].values()} | {PANELS["RosOut!events"]["topicToRender"]}

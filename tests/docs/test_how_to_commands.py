@@ -17,7 +17,7 @@ from tests.docs.command_blocks import ROOT, Block, blocks, is_file, is_run, run_
 
 DOCS = ROOT / "docs"
 ELSEWHERE = {"how-to/lerobot.md": "tests/lerobot/test_environment.py"}
-"""Pages whose commands another test runs, with packages of their own."""
+"""Pages whose commands another test runs, because they need other packages."""
 BLOCKS = {
     path.relative_to(DOCS).as_posix(): blocks(path)
     for path in (*sorted((DOCS / "how-to").glob("*.md")), DOCS / "reference" / "tasks.md")

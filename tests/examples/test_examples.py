@@ -133,7 +133,7 @@ def test_single_motor():
 @REALTIME
 def test_notebook(slower, monkeypatch):
     notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
-    assert not any(cell.get("outputs") for cell in notebook.cells), "outputs are made by the user"
+    assert not any(cell.get("outputs") for cell in notebook.cells), "the notebook is stored without outputs"
     with hand(slower, "--scene", "cylinder") as options:
         monkeypatch.setenv("HANDCTL_OPTIONS", " ".join(options))
         NotebookClient(notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": "."}}).execute()

@@ -144,7 +144,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
         "no reaction; torque remains",
         "the disturbance had no effect",
     ]
-    assert stored_log.exists(), "a failure leaves its log"
+    assert stored_log.exists(), "the log of a failure is stored"
 
 
 def test_a_reaction_to_another_fault_does_not_count():

@@ -112,8 +112,7 @@ def check_relaxing(simulation: Simulation, stop_at: int, window: int, fault: str
         now = observe_instant(simulation)
         peak = np.maximum(peak, now.tension)
         force = np.maximum(force, now.force)
-    # No drive makes more force than before the decision. This holds also if it makes more than its
-    # command.
+    # No drive makes more force than before the decision, even if it makes more than its command.
     assert (force <= np.maximum(before, 0.0) + ROUNDED_N).all(), f"{fault}: {force} after {before}"
     bound = tension_bound(simulation, decided, before)
     assert (peak <= bound).all(), f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"

@@ -31,7 +31,7 @@ NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, res
 
 @pytest.fixture(scope="module")
 def simulation():
-    """Simulate a hand that arms, in slow ticks. Each test takes a copy."""
+    """Simulate a hand that arms, in slow ticks. Each test uses a copy."""
     with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as simulation:
         advance_to(simulation, ARMING)
         yield simulation

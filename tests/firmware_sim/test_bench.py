@@ -55,7 +55,7 @@ def test_a_free_shaft_turns_by_its_inertia() -> None:
     assert bench.motors[0].omega == pytest.approx(expected, rel=0.03)
     bench.receive(Frame(0x07, struct.pack("<I", 1)))
     bench.advance(20_000 * MS)
-    assert abs(bench.motors[0].omega) < 0.01, "it coasts to a stop"
+    assert abs(bench.motors[0].omega) < 0.01, "friction stops the shaft"
 
 
 def test_an_odrive_follows_positions_and_velocities() -> None:
@@ -145,7 +145,7 @@ def test_the_velocity_limit_of_an_odrive_acts_in_torque_control(inertia: float) 
     assert 1.5 * math.tau < bench.motors[0].omega <= 2.0 * math.tau
     send_to_odrive(bench, (0x0F, struct.pack("<ff", 1.0, 20.0)), (0x0E, struct.pack("<f", 0.05)))
     bench.advance(bench.t_ns + 5_000 * MS)
-    assert bench.motors[0].omega <= 1.0 * math.tau, "above its limit it brakes"
+    assert bench.motors[0].omega <= 1.0 * math.tau, "the drive brakes above its velocity limit"
     send_to_odrive(bench, IDLE)
     bench.motors[0].omega = 100.0
     bench.advance(bench.t_ns + 50 * MS)
@@ -216,11 +216,11 @@ def test_an_odrive_calibrates() -> None:
         return beats[-1].data[4], beats[-1].data[5]
 
     send_to_odrive(bench, CLOSED_LOOP)
-    assert beat() == (1, 14), "not calibrated"
+    assert beat() == (1, 14), "the error is a missing calibration"
     send_to_odrive(bench, (0x07, struct.pack("<I", 3)))
-    assert beat() == (3, 1), "busy"
+    assert beat() == (3, 1), "the calibration runs"
     send_to_odrive(bench, IDLE)
-    assert beat() == (1, 2), "cancelled"
+    assert beat() == (1, 2), "the calibration was cancelled"
     send_to_odrive(bench, (0x07, struct.pack("<I", 3)))
     bench.advance(bench.t_ns + 4_000 * MS)
     assert beat() == (1, 0)
@@ -236,11 +236,11 @@ def test_an_odrive_keeps_what_reboot_saves() -> None:
         return reply.data[4:]
 
     send_to_odrive(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\0"))
-    assert endpoint(202) == struct.pack("<f", 0.0), "a reboot alone saves nothing"
+    assert endpoint(202) == struct.pack("<f", 0.0), "a reboot does not save values"
     send_to_odrive(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\1"), (0x16, b"\0"))
     assert endpoint(202) == struct.pack("<f", 0.25)
     send_to_odrive(bench, (0x16, b"\2"))
-    assert endpoint(202) == struct.pack("<f", 0.0), "erased"
+    assert endpoint(202) == struct.pack("<f", 0.0), "the saved values are erased"
 
 
 def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFixture[str]) -> None:

@@ -46,7 +46,7 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     for _ in range(401):
         for plant in (single, bindings, plain):
             plant.step()
-    assert max(block.tensions()) > 5.0, "ropes pulled"
+    assert max(block.tensions()) > 5.0, "tendons were under tension"
     for plant in (single, bindings, plain):
         assert plant.steps == block.steps == 401
         assert state(plant) == state(block)
@@ -111,7 +111,7 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
         divided.step()
     assert divided.t_ns == whole.t_ns == 400 * STEP_NS
     assert divided.steps == whole.steps
-    assert min(whole.tensions()) > 5.0, "ropes pulled"
+    assert min(whole.tensions()) > 5.0, "tendons were under tension"
     assert divided.tensions() == pytest.approx(whole.tensions(), abs=0.2)
     assert divided.engine.q == pytest.approx(whole.engine.q, abs=0.01)
     set_step = [(motor.step, motor.lag, motor.velocity_lag) for motor in whole.motors.values()]

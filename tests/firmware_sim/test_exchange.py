@@ -140,7 +140,7 @@ def test_cyclic_frames_do_not_reach_the_nodes_one_by_one(protocol: str, tmp_path
         if k == 10:
             received.clear()
         rig.step(k * TICK_NS, frames)
-    assert len(received) < 20, "temperatures are due every 100 ms, and nothing else is decided"
+    assert len(received) < 20, "nodes receive only the requests of temperatures, every 100 ms"
 
 
 def test_records_are_frames() -> None:

@@ -86,7 +86,7 @@ def test_every_fault_has_an_effect_and_ends(text):
     answers_of_ticks(run, 20)
     state = run.fault_states()[0]
     assert state["state"] == "over"
-    assert state["felt"] > 0, "the disturbance was there"
+    assert state["felt"] > 0, "the disturbance had an effect"
     assert 14_000_000 <= state["first_ns"] <= 54_000_000
     before = state["felt"]
     answers_of_ticks(run, 10)

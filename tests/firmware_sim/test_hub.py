@@ -129,7 +129,7 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     hub.serve([])  # completes a record that was begun
     read += read_all(idle)
     rows = numbers(read)
-    assert rows == [(number, 0) for number in range(len(rows))], "what was kept is the beginning, whole and in order"
+    assert rows == [(number, 0) for number in range(len(rows))], "the first records are kept, complete and in order"
     assert len(rows) + hub.dropped == total
     hub.send(record(5, total.to_bytes(4, "little")))
     assert numbers(read_all(idle)) == [(total, hub.dropped % 65536)]
@@ -140,7 +140,7 @@ def test_an_incomplete_record_is_completed_before_the_next(hub: Hub, client: Cal
     batch = b"".join(record(number, number.to_bytes(4, "little")) for number in range(2000))
     while not hub.writers():
         hub.send(batch)
-        assert hub.dropped < 1_000_000, "the kernel never took a part of a record"
+        assert hub.dropped < 1_000_000, "the kernel accepted no part of a record"
         batch += record(0, b"")  # another length, so that the cut is at another byte
     dropped = hub.dropped
     hub.send(record(1, b"while one is half sent"))

@@ -71,7 +71,7 @@ def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path
         assert np.linalg.norm(force) <= normal * math.hypot(1.0, 0.5) * 1.01
     palm = net[:, 0].sum()
     assert palm > 1.0, "the digits press the object against the palm"
-    assert abs(net[:, 1].sum()) <= 0.5 * (palm + 0.2 * 9.81), "what fingers and thumb do not balance, friction does"
+    assert abs(net[:, 1].sum()) <= 0.5 * (palm + 0.2 * 9.81), "friction balances the rest of the force"
 
 
 @pytest.mark.parametrize("direction", ["[0, 0, 0]", "[0, 0]", '["x", 0, 0]', "[nan, 0, 1]"])

@@ -101,7 +101,7 @@ def test_the_watchdog_trips_on_time_and_latches(bench: Bench, timeout: int) -> N
     bench.run(5)
     assert abs(bench.motor.torque) < 1e-6
     assert bench.ask(FULL_TORQUE)[0] >> 4 == 0xD
-    assert bench.special(0xFC) == 0xD, "enable alone must not clear an error"
+    assert bench.special(0xFC) == 0xD, "the enable command does not clear an error"
     assert bench.special(0xFB) == FeedbackState.DISABLED
     assert bench.special(0xFC) == FeedbackState.ENABLED
 
@@ -225,4 +225,4 @@ def test_a_motor_answers_only_at_its_new_identifier() -> None:
     assert answered(ID + 0x40) == [ID + 0x10]
     assert answered(ID) == []
     assert answered(0x7FF, struct.pack("<HBBI", ID + 0x40, 0x55, 8, ID + 1)) == [ID + 0x10]
-    assert answered(ID + 1) == [ID + 0x10, ID + 0x11], "now there are two of that number"
+    assert answered(ID + 1) == [ID + 0x10, ID + 0x11], "two motors have this identifier"

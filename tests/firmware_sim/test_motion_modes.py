@@ -166,13 +166,13 @@ def test_a_damiao_motor_changes_its_mode_while_enabled() -> None:
     assert motor.command == 0.0
     bench.receive(Frame(0x202, struct.pack("<f", 5.0)))
     bench.advance(bench.t_ns + 20 * MS)
-    assert motor.command == 0.0, "a frame of the old mode"
+    assert motor.command == 0.0, "a frame of the old mode has no effect"
     bench.receive(Frame(0x102, struct.pack("<ff", 1.0, 3.0)))
     bench.advance(bench.t_ns + 4000 * MS)
     assert motor.theta == pytest.approx(1.0, abs=0.01)
     write_register(bench, 10, struct.pack("<I", 1))
     bench.receive(Frame(2, bytes.fromhex("7fff7ff000000fff")))
-    assert (motor.servo.torque, motor.servo.limit) == (10.0, 7.0), "MIT mode has its own torque limit"
+    assert (motor.servo.torque, motor.servo.limit) == (10.0, 7.0), "MIT mode has a separate torque limit"
 
 
 def test_the_watchdog_of_a_damiao_motor_ends_a_motion() -> None:
@@ -388,7 +388,7 @@ def test_a_cyclic_velocity_is_held() -> None:
     write_object(bench, 0x6080, 0, 30, 4)
     bench.advance(bench.t_ns + 3000 * MS)
     assert bench.motors[0].omega == pytest.approx(-30 / 60 * TURN, rel=0.02)
-    assert read_object(bench, 0x6041) & 1 << 11, "internal limit"
+    assert read_object(bench, 0x6041) & 1 << 11, 'the bit "internal limit" is set'
 
 
 def test_the_torque_limit_acts_in_cyclic_position() -> None:
@@ -422,7 +422,7 @@ def test_a_profile_position_has_ramps_and_says_when_it_is_reached() -> None:
     bench.advance(100 * MS)
     assert motor.theta == pytest.approx(0.0, abs=1e-3), "a target waits for the edge of bit 4"
     word = control(bench, 0x1F)
-    assert word & (1 << 12 | 1 << 10) == 1 << 12, "acknowledged, not reached"
+    assert word & (1 << 12 | 1 << 10) == 1 << 12, "the target is acknowledged and not reached"
     assert not control(bench, 0x0F) & 1 << 12
     # 1 turn/s with 1 and 0.5 turn/s2: 1 s up, 1.5 s at speed, 2 s down.
     speeds = sample_each_ms(bench, 4.6, lambda: motor.omega / TURN)
@@ -463,11 +463,11 @@ def test_a_relative_set_point_and_halt() -> None:
     control(bench, 0x11F)
     bench.advance(bench.t_ns + 500 * MS)
     assert motor.omega == pytest.approx(0.0, abs=0.05)
-    assert read_object(bench, 0x6041) & 1 << 10, "halted, at standstill"
+    assert read_object(bench, 0x6041) & 1 << 10, "the motor is at standstill"
     assert motor.theta / TURN > 0.5
     control(bench, 0x1F)
     bench.advance(bench.t_ns + 3000 * MS)
-    assert motor.theta == pytest.approx(0.0, abs=0.02), "halt off: the target is still there"
+    assert motor.theta == pytest.approx(0.0, abs=0.02), "after the halt the motor moves to the target"
 
 
 def test_a_set_point_bit_left_by_homing_is_no_edge() -> None:
@@ -475,7 +475,7 @@ def test_a_set_point_bit_left_by_homing_is_no_edge() -> None:
     assert control(bench, 0x1F) & 1 << 12
     write_object(bench, 0x6060, 0, 1, 1)
     write_object(bench, 0x607A, 0, COUNTS, 4)
-    assert not control(bench, 0x1F) & 1 << 12, "nothing is acknowledged"
+    assert not control(bench, 0x1F) & 1 << 12, "no target is acknowledged"
     control(bench, 0x0F)
     assert control(bench, 0x1F) & 1 << 12
 
@@ -493,9 +493,9 @@ def test_homing_here_sets_the_position() -> None:
     bench = cia402(6, (0x607C, 0, 1234, 4))
     assert not control(bench, 0x0F) & 1 << 12
     word = control(bench, 0x1F)
-    assert word & (1 << 10 | 1 << 12 | 1 << 13) == 1 << 10 | 1 << 12, "reached and attained"
+    assert word & (1 << 10 | 1 << 12 | 1 << 13) == 1 << 10 | 1 << 12, "target reached and homing attained"
     assert read_object(bench, 0x6064) == pytest.approx(1234, abs=5)
-    assert bench.motors[0].theta == pytest.approx(0.0, abs=1e-3), "nothing moved"
+    assert bench.motors[0].theta == pytest.approx(0.0, abs=1e-3), "the motor did not move"
 
 
 @pytest.mark.parametrize(("method", "end"), [(33, 0.0), (34, TURN)])
@@ -533,7 +533,7 @@ def test_a_mode_change_while_enabled_holds_the_position(mode: int) -> None:
     assert motor.omega == pytest.approx(0.0, abs=0.05)
     write_object(bench, 0x6060, 0, 10, 1)
     bench.advance(bench.t_ns + 20 * MS)
-    assert (motor.command, motor.servo.kd) == (0.0, 0.0), "torque mode has its own target"
+    assert (motor.command, motor.servo.kd) == (0.0, 0.0), "torque mode has a separate target"
 
 
 def test_a_disabled_cia402_drive_does_not_move() -> None:

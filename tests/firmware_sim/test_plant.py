@@ -78,7 +78,7 @@ def test_friction_makes_the_far_joints_lag() -> None:
 def test_a_slack_tendon_makes_no_force() -> None:
     plant = free(homed=False)
     before = [motor.theta for motor in plant.motors.values()]
-    assert all(-0.6 <= theta <= -0.2 for theta in before), "slack of 1 to 3 mm on a 5 mm spool"
+    assert all(-0.6 <= theta <= -0.2 for theta in before), "a slack of 1 to 3 mm on a spool of 5 mm radius"
     assert len(set(before)) == 4
     for motor in plant.motors.values():
         motor.omega = 2.0
@@ -99,7 +99,9 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
     assert (high - low) / (0.005 * (theta_high - theta_low)) == pytest.approx(1e5, rel=0.01)
     pull(plant, 1.2, 2.0)
     assert plant.tensions()[0] == pytest.approx(240.0, rel=1e-3)
-    assert plant.tensions()[0] < 1e5 * 0.005 * plant.motors["index_motor"].theta - 5.0, "no softening beyond the knee"
+    assert plant.tensions()[0] < 1e5 * 0.005 * plant.motors["index_motor"].theta - 5.0, (
+        "the tendon is softer beyond the knee"
+    )
 
 
 def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
@@ -195,6 +197,6 @@ def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check the first-order integration of tendons, friction and rotors: the error is small and falls with the step."""
     exact = closing(monkeypatch, 0.05e-3)
     errors = [np.degrees(np.sqrt(((closing(monkeypatch, step) - exact) ** 2).mean())) for step in (0.5e-3, 0.1e-3)]
-    assert np.degrees(exact[-1].min()) > 12.0, "it did close"
+    assert np.degrees(exact[-1].min()) > 12.0, "the digit closed"
     assert errors[0] < 0.2
     assert errors[1] < 0.3 * errors[0]

@@ -84,7 +84,7 @@ def test_signals_end_the_simulator_with_complete_truth(start: Start, run_folder:
     link = attach(run_folder / "t.bus")
     answer = ask(link, 3, ENABLE)
     assert (answer[0], answer[4], answer[5], answer[8]) == (0x13, 8, 0, 0x13)
-    assert ask(link, 3, ENABLE, flags=5)[5] == 5, "an FD question gets an FD answer"
+    assert ask(link, 3, ENABLE, flags=5)[5] == 5, "the answer to an FD frame is an FD frame"
     time.sleep(0.3)
     before_ns = time.monotonic_ns()
     process.send_signal(number)
@@ -98,7 +98,7 @@ def test_signals_end_the_simulator_with_complete_truth(start: Start, run_folder:
     assert truth.header["foreign_frames"] == 0, "the summary of the run is in the header"
     assert len(truth.t_ns) > 50
     assert set((truth.t_ns[1:] - truth.t_ns[:-1]).tolist()) == {1_000_000} or truth.header["slips"] > 0
-    assert abs(int(truth.t_ns[-1]) - before_ns) < 2e9, "rows bear the clock of the machine"
+    assert abs(int(truth.t_ns[-1]) - before_ns) < 2e9, "the times are of the clock of the machine"
 
 
 def test_slowed_time_slows_the_plant_and_its_clock(start: Start, run_folder: Path) -> None:

@@ -126,7 +126,7 @@ def test_friction_alone_carries_the_cylinder_after_the_table_has_sunk(tension: f
     assert drift < 1.5
     forces = [truth.column(f"contact_force/{digit}/y")[-1] for digit in ("index", "middle", "ring", "thumb")]
     assert min(forces[:3]) > 0.3, "the object pushes fingers towards +y"
-    assert forces[3] < -1.0, "and the thumb towards -y"
+    assert forces[3] < -1.0, "the object pushes the thumb towards -y"
 
 
 def test_an_object_too_heavy_for_friction_falls(tmp_path: Path) -> None:

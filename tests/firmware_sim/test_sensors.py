@@ -88,7 +88,7 @@ def test_noise_has_the_size_of_the_hand_file_and_is_white() -> None:
     assert noise.std() == pytest.approx(ELEVEN.tension_noise, rel=0.03)
     assert abs(noise.mean()) < 0.02
     assert abs(np.mean(noise[1:] * noise[:-1])) < 0.01
-    assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.03, "channels share their noise"
+    assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.03, "the noise of two channels is correlated"
 
 
 def test_drift_is_a_random_walk_of_the_given_size() -> None:

@@ -166,17 +166,17 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
     priority = RealTimePriority(granted.take, granted.restore, lambda: granted.now_s)
     for _ in range(10):
         priority.note_slip()
-    assert granted.requests == 0, "nobody has sent anything yet"
+    assert granted.requests == 0, "no priority before the first frame of a host"
     priority.note_host_frames()
     assert granted.active
     priority.note_slip()
-    assert granted.active, "a machine that stood still once keeps up"
+    assert granted.active, "one slip does not restore the priority"
     for _ in range(2):
         granted.now_s += 0.2
         priority.note_slip()
     assert not granted.active
     priority.note_host_frames()
-    assert not granted.active, "not at once again"
+    assert not granted.active, "no second request shortly after the slips"
     granted.now_s += ORDINARY_PRIORITY_S
     priority.note_host_frames()
     assert granted.active

@@ -43,7 +43,9 @@ def test_gravity_turns_and_keeps_its_new_direction() -> None:
     assert stages.duration == 3.5
     assert stages.at(0.0).gravity == UPRIGHT
     half = stages.at(0.25).gravity
-    assert half == pytest.approx((9.81 / math.sqrt(2), 0.0, -9.81 / math.sqrt(2))), "on the way it is as strong"
+    assert half == pytest.approx((9.81 / math.sqrt(2), 0.0, -9.81 / math.sqrt(2))), (
+        "the magnitude does not change during the turn"
+    )
     for time in (0.5, 2.4, 2.6, 100.0):
         assert stages.at(time).gravity == pytest.approx((9.81, 0.0, 0.0))
     assert [stages.at(time).stage for time in (0.0, 2.4, 2.6, 100.0)] == [0, 0, 1, 1]

@@ -28,7 +28,7 @@ def test_the_table_sinks_after_a_grasp_of_a_second_and_a_half() -> None:
     assert table.dropped_at is None
     run(table, 2.499, 2.51, 1.1, 1.1, 0, 1.1)
     assert table.dropped_at == pytest.approx(2.5, abs=2e-3)
-    assert run(table, 2.51, 3.5, 0, 0, 0, 0) == pytest.approx(0.05, abs=2e-4), "it goes on whatever happens"
+    assert run(table, 2.51, 3.5, 0, 0, 0, 0) == pytest.approx(0.05, abs=2e-4), "the table sinks further without contact"
     assert run(table, 3.5, 9.0, 0, 0, 0, 0) == pytest.approx(0.2)
 
 

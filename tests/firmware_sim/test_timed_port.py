@@ -98,7 +98,7 @@ def test_answers_with_low_identifiers_overtake_requests_with_high_identifiers(la
     for tenth in range(20):
         for frame in lab.at(tenth * us(8) * 1e-3 + 0.001):
             arrivals[frame.can_id] = tenth
-    assert arrivals == {0x11: 2, 0x12: 4, 0x13: 6, 0x14: 8}, "each before the next question"
+    assert arrivals == {0x11: 2, 0x12: 4, 0x13: 6, 0x14: 8}, "each answer overtakes the next request"
 
 
 def test_a_full_queue_refuses_at_once(lab: Lab) -> None:
@@ -107,11 +107,11 @@ def test_a_full_queue_refuses_at_once(lab: Lab) -> None:
     assert lab.host.send(frames) == 8
     assert lab.host.take_events() == [("enobufs", "local:lab", 12)]
     lab.server.turn()
-    assert lab.host.send(frames) == 0, "nothing has gone out yet"
+    assert lab.host.send(frames) == 0, "no frame has left the queue"
     lab.host.take_events()
     lab.clock.t_ns += round(3 * us(0) * 1000)
     lab.server.turn()
-    assert lab.host.send(frames) == 3, "three have, which the host learns without reading first"
+    assert lab.host.send(frames) == 3, "three frames have left the queue, which the host sees without reading"
     for ms in (20.0, 40.0):
         lab.at(ms)
     assert lab.port.wire.frames == 11
@@ -120,7 +120,7 @@ def test_a_full_queue_refuses_at_once(lab: Lab) -> None:
 
 
 def test_a_host_that_has_not_read_yet_learns_of_refusals_later(lab: Lab) -> None:
-    assert lab.host.send([Frame(0x700 + n, b"") for n in range(20)]) == 20, "the hub has taken them"
+    assert lab.host.send([Frame(0x700 + n, b"") for n in range(20)]) == 20, "the hub has accepted all frames"
     lab.at(0.0)
     assert ("enobufs", "local:lab", 20 - 8) in lab.host.take_events()
     lab.at(20.0)
@@ -146,7 +146,7 @@ def test_a_disturbed_wire_puts_the_host_into_bus_off_and_is_reported(lab: Lab) -
     lab.at(50.0)
     kinds = {kind for kind, _, _ in lab.host.take_events()}
     assert {"error_warning", "error_passive", "bus_off"} <= kinds
-    assert "bus_off" in {kind for kind, _, _ in lab.host.take_events()}, "as long as it lasts"
+    assert "bus_off" in {kind for kind, _, _ in lab.host.take_events()}, "the event repeats during bus-off"
 
 
 def test_a_client_alone_gets_no_acknowledge() -> None:

@@ -60,7 +60,7 @@ def test_a_frame_whose_bits_were_counted_by_hand() -> None:
     """Check identifier 0 without data: 19 zeros and a CRC of zeros, with a stuff bit after every five."""
     zeros = 1 + 11 + 3 + 4 + 15
     assert ACTUAL.frame_ns(Frame(0, b"")) == (zeros + zeros // 5 + 13) * 1000
-    assert ACTUAL.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, "hardly a stuff bit"
+    assert ACTUAL.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, "at most six stuff bits"
 
 
 def test_an_extended_identifier_takes_twenty_bits_more() -> None:
@@ -75,7 +75,7 @@ def test_the_lowest_identifier_goes_first_without_interruption() -> None:
         b.controller.offer(Frame(can_id, b""), 1000)
     a.controller.offer(Frame(0x150, b""), 1000)
     wire.advance(10**9)
-    assert ears.ids == [0x300, 0x150, 0x200, 0x100], "each queue keeps its order, its head competes"
+    assert ears.ids == [0x300, 0x150, 0x200, 0x100], "the first frames of the queues compete"
     assert [frame.t_ns for frame in ears.received] == [55_000 * n for n in (1, 2, 3, 4)]
 
 
@@ -120,9 +120,9 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     assert wire.frames == 0
     assert lonely.controller.tx_errors == 128
     assert lonely.controller.state == ErrorState.PASSIVE
-    assert lonely.classes == [0x20, 0x24, 0x24], "no acknowledge; with the warning; and with passive"
+    assert lonely.classes == [0x20, 0x24, 0x24], "missing acknowledge, then with warning, then with passive"
     assert [frame.data[1] for frame in lonely.errors] == [0, 0x08, 0x20]
-    assert wire.load(0, 10**9) > 0.9, "a bus with one node is busy"
+    assert wire.load(0, 10**9) > 0.9, "a single node repeats its frame"
     other = BusMember(wire)
     wire.advance(2 * 10**9)
     assert other.ids == [1]
@@ -145,7 +145,7 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
     assert [frame.data[6] for frame in sender.errors] == [8, 96, 128, 255]
     assert receiver.controller.rx_errors == 32
     assert not sender.controller.offer(Frame(2, b""), 10**8)
-    assert receiver.ids == [], "what waited is gone"
+    assert receiver.ids == [], "waiting frames are lost"
     wire.advance(10**9)
     assert sender.classes[-1] == 0x100
     assert sender.controller.state == ErrorState.ACTIVE
@@ -164,7 +164,7 @@ def test_bus_off_is_permanent_without_a_restart() -> None:
     assert wire.next_ns() == NEVER_NS
     receiver.controller.offer(Frame(1, b""), 10**10)
     wire.advance(10**10 + 10**8)
-    assert receiver.controller.state == ErrorState.PASSIVE, "and its peer is alone"
+    assert receiver.controller.state == ErrorState.PASSIVE, "the receiver gets no acknowledge"
 
 
 def test_successful_frames_reduce_the_error_counters() -> None:
@@ -192,7 +192,7 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
     for party in parties(wire, 2):
         party.controller.offer(Frame(8, b"same"), 10**9)
     wire.advance(2 * 10**9)
-    assert ears.ids == [8], "alike, they are one frame"
+    assert ears.ids == [8], "two equal frames are one frame"
 
 
 def test_the_error_rate_is_met_and_repeats() -> None:

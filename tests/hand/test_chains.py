@@ -82,7 +82,7 @@ def inverse_by_mujoco(model, q, dq, ddq):
 
 
 def test_exports_and_the_simulator_s_own_model_are_the_same_hand(chains, rng, tmp_path):
-    """Compare the export as MJCF, and the model that the simulator makes of the same file by code of its own."""
+    """Compare the export as MJCF, and the model that separate code of the simulator makes of the same file."""
     hand, digits = chains
     path = tmp_path / "random.toml"
     path.write_text(hand.to_toml())
@@ -218,7 +218,7 @@ def test_logged_transforms_of_a_tree_equal_the_model(tree, rng):
 
 
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(tree, rng):
-    """Compare a digit's own weight with that in the tree, where all digits that it is mounted on are at zero."""
+    """Compare the weight of a digit alone and in the tree, where all carrying digits are at zero."""
     hand, whole = tree
     for digit in whole.digits:
         if digit.name in hand.carriers:

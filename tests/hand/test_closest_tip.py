@@ -55,7 +55,7 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
             assert (found.coordinates >= low).all()
             assert (found.coordinates <= high).all()
             worse += found.distance > np.linalg.norm(oracle.fun) + 1e-5
-    assert worse <= 1, "another local minimum, at most once"
+    assert worse <= 1, "another local minimum in at most one case"
 
 
 def test_a_coupled_digit_meets_the_global_minimum() -> None:

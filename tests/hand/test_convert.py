@@ -36,7 +36,7 @@ def test_an_old_file_shrinks_and_keeps_its_comments() -> None:
     for comment in re.findall(r"# *(.*)", old):
         assert comment.strip() in new, comment
     for text in ("1_000_000", "0x1A0", "6.384e-3", "0.3e-3"):
-        assert text in new, "a number stays as it is written"
+        assert text in new, "numbers keep their notation"
 
 
 @pytest.mark.parametrize("name", packaged_hands())
@@ -71,4 +71,4 @@ def test_config_convert_writes_schema_2(
     assert main(["config", "check", "--hand", "new.toml"]) == 0
     assert main(["config", "convert", "new.toml", "--output", "newer.toml"]) == 2
     assert "new.toml: schema: schema 2 already; expected a file of schema 1" in capsys.readouterr().err
-    assert main(["config", "convert", str(OLD), "--output", "new.toml"]) == 2, "a file that is there stays"
+    assert main(["config", "convert", str(OLD), "--output", "new.toml"]) == 2, "an existing file is not replaced"

@@ -95,7 +95,9 @@ def test_work_of_tendons_is_work_of_joints(digits, rng):
 def test_flexing_a_joint_winds_its_tendon(digits):
     for digit in digits:
         closes = digit.moment_arms.sum(axis=1) > 0.0
-        assert ((excursions(digit, np.full(digit.joint_count, 0.5)) > 0.0) == closes).all(), "an extensor pays out"
+        assert ((excursions(digit, np.full(digit.joint_count, 0.5)) > 0.0) == closes).all(), (
+            "the spool of an extensor unwinds"
+        )
 
 
 def test_friction_follows_the_capstan_equation(digits, rng):

@@ -7,7 +7,7 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, load_hand
 
 ARM_M = 0.005
-"""Distance of the tendons from the axis of the wrist, smaller than that of its own tendon."""
+"""Distance of the tendons from the axis of the wrist, smaller than the distance of the wrist's tendon."""
 
 
 def on_wrist(name: str, arm: float = ARM_M) -> Hand:

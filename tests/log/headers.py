@@ -17,7 +17,7 @@ def with_metadata(raw: bytes, change: Callable[[str, Record], Record]) -> bytes:
 
     Args:
         raw: a complete log.
-        change: takes name and entries of a metadata record, returns the new entries.
+        change: function of the name and entries of a metadata record, which returns the new entries.
     """
     parts = [MAGIC]
     for code, body in _records(raw):

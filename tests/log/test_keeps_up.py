@@ -15,7 +15,7 @@ FRAMES = 24
 
 
 def test_nothing_is_dropped_and_the_recorder_has_a_core_to_spare(tmp_path: Path) -> None:
-    with multiprocessing.get_context("spawn").Pool(1) as pool:  # a loop locks its memory: not that of all tests
+    with multiprocessing.get_context("spawn").Pool(1) as pool:  # a loop locks the memory of its process
         result = pool.apply(sustained, (tmp_path / "run.mcap", SECONDS))
     assert (result["dropped"], result["lost"]) == (0, 0)
     assert result["ticks"] == result["ticks_in_log"] > 0.9 * 1000 * SECONDS

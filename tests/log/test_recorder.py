@@ -71,7 +71,7 @@ def _finished(path: Path) -> bool:
 def test_a_recorder_that_does_not_start_in_time_is_named(
     start: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The message was that of a file that cannot be written, with "no answer" as the reason."""
+    """The error is that the file cannot be written, with "no answer" as the reason."""
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)

@@ -197,7 +197,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
     assert (first.stream, first.number, first.name) == ("s", 0, ["index_j1", "thumb_j1"])
     assert first.age == pytest.approx(0.003)
     np.testing.assert_array_equal(first.value, [1.5, math.nan])
-    assert (other.stream, other.name, other.value.tolist()) == ("t", [], [1e308]), "of a stream that nobody opened"
+    assert (other.stream, other.name, other.value.tolist()) == ("t", [], [1e308]), "a stream that was never opened"
     assert (last.number, last.name) == (2**63 - 1, [])
     lines = [Rosbags(one.kind, one.schema).decode(one.data) for one in topics["/rosout"]]
     asked_lines = [line.msg for line in lines if line.name == "handctl.request"]

@@ -1,6 +1,6 @@
 """A pytest plugin that puts the paper's Eq. 10 into this project's dynamics: as printed, or corrected.
 
-Loaded by ``test_literal.py`` into a run of the model's own tests; HANDCTL_EQ10 says which of the two.
+Loaded by ``test_literal.py`` into a run of the tests of the model. HANDCTL_EQ10 selects the version.
 """
 
 import os

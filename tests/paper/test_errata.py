@@ -1,4 +1,4 @@
-"""Errata: Lagrange's equations by sympy, numbers by their own arithmetic, and no known misprint missing."""
+"""Errata: Lagrange's equations by sympy, numbers by separate arithmetic, and no known misprint missing."""
 
 from functools import cache
 
@@ -68,7 +68,7 @@ def test_corrected_torques_follow_from_the_lagrangian(i: int) -> None:
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
-    """With m3 = I3 = 0 two links remain, those of this project's thumb."""
+    """With m3 = I3 = 0 two links remain, as in the thumb of this project."""
     thumb = DigitModel.of(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
     states = {"g": 9.81, "I3": 0.0, "m3": 0.0, "L3": 1.0, "d3": 1.0, "th3": 0.3, "dth3": 5.0, "ddth3": 7.0}
@@ -197,7 +197,7 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:
-    """The paper's hand has no springs, so the judged value is that of the links alone."""
+    """The paper's hand has no springs, so the judged value is the torque of the links."""
     fast = motion.closing_torques("index", motion.DURATIONS_S[-1])
     links = sum(fast.parts[part] for part in ("inertia", "Coriolis", "gravity"))
     found = {item.id: item for item in sections.page_items(None)}

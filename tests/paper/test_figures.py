@@ -28,7 +28,9 @@ def test_pictures_have_content_and_full_resolution(folder: Path, name: str) -> N
     assert 0.01 < inked.mean() < 0.6
     assert inked[:, : width // 2].mean() > 0.005
     assert inked[:, width // 2 :].mean() > 0.005
-    assert len(np.unique((picture * 15).astype(int).reshape(-1, 3), axis=0)) > 30, "colours"
+    assert len(np.unique((picture * 15).astype(int).reshape(-1, 3), axis=0)) > 30, (
+        "the picture has more than 30 colours"
+    )
 
 
 @pytest.mark.parametrize("name", list(page.CAPTIONS))

@@ -27,7 +27,7 @@ HAND = load_hand("jamia")
 
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
-    """Return a dataset of two episodes, that of a fault and that of a grasp."""
+    """Return a dataset of two episodes, a fault and a grasp."""
     with RunLog(LOGS / "jamia-fault.mcap") as one, RunLog(LOGS / "jamia-grasp.mcap") as two:
         export_lerobot([one, two], tmp_path / "data")
     return tmp_path / "data"

@@ -111,5 +111,5 @@ def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(pair: Pair) -> None:
     before, after = pair.mean_at_rest(*tensions)
     np.testing.assert_allclose(after, before, rtol=0.08 if pair.raw else 0.05)
     old, new = (np.linalg.norm(one.reshape(-1, 3), axis=1) for one in pair.mean_at_rest(*forces))
-    assert old.min() > 1.0, "every digit presses"
+    assert old.min() > 1.0, "every digit has contact"
     np.testing.assert_allclose(new, old, rtol=0.2 if pair.raw else 0.05)

@@ -49,7 +49,10 @@ def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
 
 
 def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tmp_path: Path) -> None:
-    """Drives produce 0.8 of the command. The controller knows the factor and commands a quarter more."""
+    """Drives produce 0.8 of the command.
+
+    The controller has this factor as identified value, and commands a quarter more.
+    """
     hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
     plan = Plan(hand, Gains(), 500.0, ())
     simulator = Simulator("jamia", perturb={"torque_constant": 0.8}, homed=True)

@@ -88,7 +88,7 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     result = summarise(log, JAMIA, truth, 7)
     assert result["tracking_rmse_rad"] == pytest.approx(0.01)
     assert result["tracking_rmse_deg"]["index"] == pytest.approx(math.degrees(0.01))
-    assert math.isnan(result["tracking_rmse_deg"]["thumb"]), "it had no goal"
+    assert math.isnan(result["tracking_rmse_deg"]["thumb"]), "the thumb had no goal"
     by_joint = result["tracking_rmse_joint_deg"]
     assert [by_joint[joint] for joint in JAMIA.joints[joints]] == pytest.approx([math.degrees(0.01)] * 3)
     assert math.isnan(by_joint["thumb_j1"])
@@ -120,7 +120,7 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
     none = hold_log()
     none.fields["contact"][:] = 0.0
-    assert not np.any(hold_windows(none)), "nobody holds anything"
+    assert not np.any(hold_windows(none)), "without a hold there are no windows"
     two = MadeUpLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold firmly"})
     two.fields["contact"][:, 0] = 1.0
     two.fields["tension_goal"][:] = 9.0
@@ -175,7 +175,9 @@ def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> Non
     two.fields["tension"][:] = two.fields["tension_raw"][:] = 9.0
     set_column(truth, "object/x", np.where(np.arange(400) < 150, 0.0, 0.010))
     set_column(truth, "object/z", 0.0)
-    assert summarise(two, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.0), "moved between two holds"
+    assert summarise(two, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.0), (
+        "the object moved between two holds"
+    )
 
 
 def test_rms_ignores_nan() -> None:

@@ -231,8 +231,8 @@ class Listener:
         """Wait for the first SYNC of a controller."""
         until = time.monotonic() + WAIT_S
         while not self.syncs:
-            assert os.waitpid(child, os.WNOHANG) == (0, 0), "the controller ended by itself"
-            assert time.monotonic() < until, "no SYNC"
+            assert os.waitpid(child, os.WNOHANG) == (0, 0), "the controller ended before the signal"
+            assert time.monotonic() < until, "the controller sent no SYNC"
             self.wait(0.004)
 
 

@@ -196,12 +196,12 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
     attack = threading.Thread(target=lambda: received.append(as_nobody(take)))
     attack.start()
     os.read(started, 1)
-    assert mailbox.stat().st_uid == NOBODY, "the other one's, in the mailbox's place"
+    assert mailbox.stat().st_uid == NOBODY, "the socket of the other user replaces the mailbox"
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED):
         request_action("local:x", "stop")
     os.write(finish, b"x")
     attack.join()
-    assert received == ["BlockingIOError"], "nothing was sent there"
+    assert received == ["BlockingIOError"], "the other user received no message"
     for end_of_pipe in (started, ready, over, finish):
         os.close(end_of_pipe)
     box.close()
@@ -226,7 +226,7 @@ def test_requests_and_status_lines_of_another_user_are_ignored(shared):
     assert watcher.next_line(0.1) is None
     assert box.read() == ()
     send(box.path, b'{"do": "arm"}')
-    assert box.read() == ('{"do": "arm"}',), "positive control: this user's is"
+    assert box.read() == ('{"do": "arm"}',), "positive control: the request of this user is read"
     box.socket.sendto(b'{"mode": "READY"}', str(watcher.path))
     assert watcher.next_line(0.1) == {"mode": "READY"}
     watcher.close()
@@ -397,7 +397,7 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(place, han
         fill_mailbox(mailbox_path(BUS))
         assert handctl("stop", "--cut", "--bus", BUS).returncode == 71
         process.send_signal(signal.SIGCONT)
-        assert result_of(process)[0] in (0, 1), "it stood still (H03), and finds the orders as soon as it goes on"
+        assert result_of(process)[0] in (0, 1), "the controller paused (H03), and reads the orders after the pause"
     finally:
         process.send_signal(signal.SIGCONT)
         end(process)

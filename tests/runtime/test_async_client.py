@@ -71,7 +71,7 @@ def test_a_program_moves_a_hand_with_asyncio(place, hand, calibrated, scale):
     assert (status.refused, status.clipped) == (0, 0)
     assert set(np.diff(ticks)) == {1}, "every tick, in order"
     assert swing > 5.0
-    assert at < 60.0, "the move was ended by hold"
+    assert at < 60.0, "hold ended the move"
     modes_of_complete(place / "live.mcap")
 
 

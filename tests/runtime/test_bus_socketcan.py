@@ -76,7 +76,7 @@ def test_batches_beyond_the_buffers_keep_their_order(udp: tuple[SocketCanBus, so
 
 
 KERNEL_STAMPS_S = 0.3
-"""The kernel begins to stamp a little after the first socket has asked for it: it patches its own code for that."""
+"""The kernel starts time stamps shortly after the first request, because this patches its code."""
 
 
 def test_stamps_are_times_of_arrival_not_of_reading(udp: tuple[SocketCanBus, socket.socket]) -> None:

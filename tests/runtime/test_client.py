@@ -56,7 +56,7 @@ def status_with_events(*texts):
 
 @pytest.mark.parametrize("theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"])
 def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
-    """Regression: one of two programs on one hand took the refusals of the other as its own."""
+    """Regression: one of two programs on one hand reported refusals of the other program."""
     sent = []
     monkeypatch.setattr(alone._watcher, "send", lambda data, timeout: sent.append(json.loads(data)))
     monkeypatch.setattr(alone, "_wait_until_following", lambda timeout: status_with_events())
@@ -163,10 +163,10 @@ def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scal
             client.move(duration_s=-1.0, index=30.0)
         before_s = client.state()["t_s"]
         client.move(duration_s=0.5, index=30.0)
-        assert client.state()["t_s"] >= before_s + 0.5, "the hand's time, which is slowed here"
+        assert client.state()["t_s"] >= before_s + 0.5, "the duration is in the slower time of the hand"
         with library.connect("jamia", BUS) as other:
             assert other.state()["phase"] == "live"
-        assert client.state()["mode"] == "ACTIVE", "who has only looked ends nothing"
+        assert client.state()["mode"] == "ACTIVE", "a client without requests does not end the run"
         client.hold(thumb=12.0)
         for _ in range(200):
             state = client.state()
@@ -233,7 +233,7 @@ def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes, sca
     assert "KeyboardInterrupt" in err
     assert not is_running(BUS)
     time.sleep(2.0)
-    assert not is_running(BUS), "nor does it go on after commissioning"
+    assert not is_running(BUS), "the controller does not continue after commissioning"
 
 
 @REALTIME

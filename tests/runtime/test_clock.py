@@ -46,7 +46,7 @@ def test_deadlines_are_absolute_and_scaled(monkeypatch: pytest.MonkeyPatch, scal
         assert wall.now >= start + int(k * PERIOD / scale), "never early"
         assert 0 <= late <= 30_000 * scale + 200 * scale + 1
         assert abs(clock.now_ns() - (k * PERIOD + late)) <= 1000 * scale + 1
-    assert start - 5_000_000_000 == pytest.approx(PERIOD / scale, rel=0.01), "tick 0 is one period after the beginning"
+    assert start - 5_000_000_000 == pytest.approx(PERIOD / scale, rel=0.01), "tick 0 is one period after the start"
 
 
 def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,17 +138,19 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
         bus.send([Frame(k, b"")])
     clock.restart()
     assert clock.offset_ns == 3 * PERIOD
-    assert [f.can_id for f in peer.steps[-1][1]] == [2], "what the last tick sent arrives: drives are disarmed by it"
+    assert [f.can_id for f in peer.steps[-1][1]] == [2], (
+        "frames of the last tick arrive, because they disarm the drives"
+    )
     for k in range(3):
         clock.wait(k)
         frames = bus.drain()
         assert [(f.can_id, f.t_ns) for f in frames] == ([(0x17, (k - 1) * PERIOD + 300)] if k else [])
         bus.send([Frame(7, b"")])
-    assert [t for t, _ in peer.steps] == [k * PERIOD for k in range(5)], "no time lost, none twice"
-    assert [[f.can_id for f in frames] for _, frames in peer.steps[3:]] == [[7], [7]], "nothing is left from before"
+    assert [t for t, _ in peer.steps] == [k * PERIOD for k in range(5)], "every period exactly once"
+    assert [[f.can_id for f in frames] for _, frames in peer.steps[3:]] == [[7], [7]], "no frames of the first run"
     clock = LockstepClock(peer, PERIOD)
     clock.restart()
-    assert (clock.offset_ns, len(peer.steps)) == (0, 5), "before the first run there is nothing to finish"
+    assert (clock.offset_ns, len(peer.steps)) == (0, 5), "no tick to finish before the first run"
 
 
 class RecordPeer(Peer):

@@ -125,7 +125,7 @@ def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, mode):
     rig.keep(DriveTarget.LISTEN, 0.5)
     assert (place.bench.motors[0].servo.kd, place.bench.motors[0].servo.torque) == (0.0, 0.0)
     rig.keep(DriveTarget.ENABLE, 0.3)
-    assert rig.state.phase == Phase.FAULT, "latched"
+    assert rig.state.phase == Phase.FAULT, "the fault is latched"
 
 
 @pytest.mark.parametrize(("protocol", "mode"), MODES)

@@ -71,13 +71,13 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, sca
         wait_for("stay", watcher, process)
         full_at = watcher.fresh_line(2.0)["k"]
         fill(disk / "other")
-        assert seconds_until(process, b"H08 the disk is full") < 2.5, "the recorder looks every second"
+        assert seconds_until(process, b"H08 the disk is full") < 2.5, "the recorder checks the disk every second"
         after = None
         until = time.monotonic() + 1.0
         while time.monotonic() < until:
             after = watcher.fresh_line(0.2) or after
         assert after["k"] > full_at
-        assert (after["mode"], after["phase"]) == ("ACTIVE", "stay"), "a warning stops nothing"
+        assert (after["mode"], after["phase"]) == ("ACTIVE", "stay"), "a warning does not stop the hand"
         assert min(after["tension_N"]) > 4.0
         assert handctl("stop", "--bus", BUS).returncode == 0
         _, err = process.communicate(timeout=30.0)
@@ -90,7 +90,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, sca
         assert not log.warning
         assert log.end["reason"] in ("disk full", "write failed: No space left on device")
         assert execute_log(log).differing == 0, (
-            "ticks that are missing were skipped by a busy host, not lost on the way"
+            "missing ticks were skipped by a slow host, and not lost by the recorder"
         )
-        assert int(log.k[-1]) >= full_at - 200, "at most what was in the pipe and in the last chunk is missing"
+        assert int(log.k[-1]) >= full_at - 200, "only ticks in the pipe and in the last chunk are missing"
         assert len(list(log.ticks())) == len(log)

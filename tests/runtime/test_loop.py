@@ -157,7 +157,7 @@ def test_only_ticks_run_with_realtime_priority() -> None:
     run.loop.urgent = urgency
     run.fail = lambda entry: seen.append(urgent[0])
     run.go()
-    assert seen + urgent == [False, True, True, True, True, True, False], "the first is the warm-up"
+    assert seen + urgent == [False, True, True, True, True, True, False], "the first value is of the warm-up"
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
     assert [entry.late_ns for entry, _ in run.recorded] == left
     assert run.loop.stats.missed == missed
     assert run.loop.stats.ticks == 4
-    assert list(run.loop.stats.late_ns) == (late + [0] * 4)[:4], "how late it really was"
+    assert list(run.loop.stats.late_ns) == (late + [0] * 4)[:4], "the statistics have the measured lateness"
     waits = run.clock.waits
     assert all(b > a for a, b in pairwise(waits)), "each deadline is waited for at most once"
 
@@ -194,7 +194,7 @@ def test_received_frames_enter_one_tick_in_order() -> None:
     run = Run(3, buses=[left, right], requests=[("x", "y"), (), ("z",)], host=[[IoEvent("recorder", "gone")]])
     run.go()
     entries = [entry for entry, _ in run.recorded]
-    assert entries[0].frames == (first, second), "what was there before the run is not of the run"
+    assert entries[0].frames == (first, second), "frames from before the run are discarded"
     assert entries[0].io_events == (IoEvent("recorder", "gone"), IoEvent("dropped", "a", 3))
     assert [entry.requests for entry in entries] == [("x", "y"), (), ("z",)]
     assert entries[1].frames == entries[2].frames == ()
@@ -282,7 +282,7 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
     with pytest.raises(PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb") as message:
         poll_times(run, [])
     assert isinstance(message.value.__cause__, StageError)
-    assert len(run.clock.waits) == 3 + 501, "half a second of it"
+    assert len(run.clock.waits) == 3 + 501, "half a second of ticks"
 
 
 def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:

@@ -111,7 +111,7 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
 
 
 def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:
-    """Its socket file is left over, and the next controller takes the name."""
+    """The socket file of the killed controller remains, and the next controller uses this name."""
     code = "import time; from handctl.runtime.mailbox import Mailbox as M; m = M('local:x'); print(1, flush=1)"
     code += "; time.sleep(60)"
     child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
@@ -194,7 +194,7 @@ def test_watchers_get_each_published_line_once() -> None:
         ends[0].sendto(b'{"do": "watch"}', str(box.path))
     ends[1].sendto(b'{"do": "watch"}', str(box.path))
     ends[0].sendto(b'{"do": "watch"}', str(box.path))
-    assert box.read() == (), "watching is not the tick's business"
+    assert box.read() == (), "a watch request is no request to the controller"
     box.publish({"k": 1})
     for end in ends:
         assert json.loads(end.recv(1000)) == {"k": 1}
@@ -229,7 +229,7 @@ def test_the_socket_of_a_killed_controller_does_not_count_as_running(folder: Pat
     assert not is_running("local:x")
     box = Mailbox("local:x")
     assert is_running("local:x")
-    assert box.read() == (), "to be looked for is no request"
+    assert box.read() == (), "a search for controllers is no request"
     box.close()
 
 
@@ -248,13 +248,13 @@ def test_a_watcher_that_does_not_read_never_blocks_the_controller() -> None:
 
 def test_a_watcher_gets_only_lines_published_after_it_starts() -> None:
     watcher = Watcher("local:x")
-    assert watcher.fresh_line(0.01) is None, "nobody is there yet"
+    assert watcher.fresh_line(0.01) is None, "no controller runs"
     box = Mailbox("local:x")
     assert watcher.fresh_line(0.01) is None
     box.read()
     box.publish({"k": 1})
     box.publish({"k": 2})
-    assert watcher.fresh_line(0.01) is None, "what waits from before is forgotten"
+    assert watcher.fresh_line(0.01) is None, "earlier lines are discarded"
     watcher.close()
     assert not watcher.path.exists()
     box.close()
@@ -264,7 +264,7 @@ def test_paths_differ_for_each_bus_and_user(tmp_path: Path, monkeypatch: pytest.
     specs = ["local:x", "local:y", "socketcan:can0", "slcan:/dev/ttyACM0"]
     paths = {path(spec) for spec in specs for path in (mailbox_path, truth_path)} | {local_bus_path("x")}
     assert len(paths) == 9
-    assert all(path.parent == run_dir() for path in paths), "no way out of the folder"
+    assert all(path.parent == run_dir() for path in paths), "all sockets are in the run folder"
     monkeypatch.delenv("HANDCTL_RUN_DIR")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert run_dir() == tmp_path / "handctl"

@@ -52,7 +52,7 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     with RunLog(GOLDEN) as before, RunLog(place / "again.mcap") as after:
         apart = mean_angle_differences(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
-        assert apart.max() < 2.0, "where a digit leaves the object it may be a tick late"
+        assert apart.max() < 2.0, "a digit may leave the object one tick late"
         old, new = tensions_held(before, after)
     np.testing.assert_allclose(new, old, rtol=0.05)
 

@@ -127,7 +127,7 @@ def test_a_half_written_record_is_not_returned() -> None:
     write(writer, 1)
     writer._counters[0][0] = 3  # the counter while record 2 is written
     assert reader.read(0) is None
-    assert reader.latest() is None, "and a reader does not wait for a writer that has died"
+    assert reader.latest() is None, "a reader does not wait for a dead writer"
     reader.close()
     writer.close()
 
@@ -186,7 +186,7 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
         assert len(texts) <= MAX_TARGETS_PER_TICK
         last = parse_target(texts[-1])
         assert last is not None
-        assert last.number == min(read + READ_PER_TICK, sent) - 1, "the newest of those read"
+        assert last.number == min(read + READ_PER_TICK, sent) - 1, "the newest message of those read"
         read += READ_PER_TICK
     assert mail.read() == ()
     sender.close()

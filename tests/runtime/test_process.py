@@ -94,7 +94,7 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated,
         phases = run.field("drive_phase")[-1]
         assert before > 8.0
         assert run.field("tension")[-1].max() < 8.5
-        assert len(set(phases)) == 1, "every drive says the same: disabled"
+        assert len(set(phases)) == 1, "all drives report the same phase, disabled"
 
 
 def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes, scale):

@@ -31,7 +31,7 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):
             before = len(listener.syncs)
             listener.wait(0.5)
             assert first.poll() is None
-            assert len(listener.syncs) > before, "the first still has the bus"
+            assert len(listener.syncs) > before, "the first controller still sends"
         first.terminate()
         assert first.wait(30.0) == 0
     finally:

@@ -61,7 +61,7 @@ def machine(tmp_path, monkeypatch):
 def test_both_sides_agree_on_the_file(tmp_path) -> None:
     names = ("VERSION", "GATE", "PAUSED", "SENT", "ANSWERED", "REACHED", "COUNT", "OPEN_GATE")
     assert [getattr(shared, name) for name in names] == [getattr(simulated, name) for name in names]
-    assert shared.CONTROLLER_LIMIT_NS < simulated.MAX_GATE_WAIT_NS, "a pause must end before the simulator gives up"
+    assert shared.CONTROLLER_LIMIT_NS < simulated.MAX_GATE_WAIT_NS, "a pause must end before the limit of the simulator"
 
 
 def test_a_fast_machine_needs_no_pause(machine) -> None:
@@ -119,7 +119,7 @@ def test_the_clock_waits_for_the_simulator(machine) -> None:
 
 
 def test_a_simulator_that_stopped_is_not_waited_for_again(machine) -> None:
-    """The frames are then missing, and the faults for it are those of a real bus."""
+    """The missing frames cause the faults of a real bus."""
     clock = machine.controller
     clock.start()
     clock.wait(0)
@@ -136,7 +136,9 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(machine) -> None:
     machine.between = lambda: None
     begin = machine.now
     clock.wait(51)
-    assert machine.now - begin > shared.SIMULATOR_LIMIT_NS, "it has answered meanwhile and is waited for again"
+    assert machine.now - begin > shared.SIMULATOR_LIMIT_NS, (
+        "after an answer the controller waits for the simulator again"
+    )
 
 
 def test_a_simulator_behind_its_time_is_waited_for(machine) -> None:
@@ -211,7 +213,7 @@ def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, s
         if rng.random() < 0.1:
             machine.overshoots = [rng.randrange(30 * MS)]
         late = machine.controller.wait(k)
-        assert late <= max(TOLERATED, 60_000 * scale), "no tick of these is missed"
+        assert late <= max(TOLERATED, 60_000 * scale), "no tick is missed"
         advance()
         machine.now += rng.randrange(2 * MS) if rng.random() < 0.1 else 50_000
         k += 1 + late // PERIOD

@@ -19,7 +19,7 @@ def simulator(tmp_path, monkeypatch):
     yield child
     child.terminate()
     child.wait(20)
-    assert not list(run_dir().glob("*.faults")), "it takes its socket away"
+    assert not list(run_dir().glob("*.faults")), "the simulator removes its socket"
 
 
 def test_injected_faults_are_listed(simulator, capsys):
@@ -35,7 +35,7 @@ def test_injected_faults_are_listed(simulator, capsys):
     assert shown[-1].split() == ["waiting", "0", "snap", "tendon=thumb_tendon", "at=100s"]
     assert main(["fault", "inject", "explode node=1"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-    assert simulator.poll() is None, "nonsense does not end it"
+    assert simulator.poll() is None, "invalid requests do not end the simulator"
 
 
 def test_the_faults_that_can_be_injected_are_listed(simulator, capsys):

@@ -78,7 +78,7 @@ def test_only_one_of_several_clients_commands_the_hand(live):
         with pytest.raises(ConfigError, match=f"{other.name} commands this hand"):
             live.hold(thumb=8.0)
     live.move(thumb=0.0, duration_s=0.3)
-    assert live.observe().mode == "ACTIVE", "the other has left, and the hand goes on"
+    assert live.observe().mode == "ACTIVE", "the hand continues without the other client"
     errors = []
 
     def move(**angles):
@@ -115,7 +115,7 @@ def test_every_watcher_gets_its_lines(place):
         watcher.send(WATCH, 1.0)
         box.read()
         box.publish({"k": 2})
-        assert watcher.next_line(0.0) == {"k": 2}, "a further one gets a line when it asks"
+        assert watcher.next_line(0.0) == {"k": 2}, "a further watcher gets a line after a request"
     for one in (*watchers, box):
         one.close()
 

@@ -39,7 +39,7 @@ def test_a_pause_between_the_readings_is_no_suspend_and_hides_none():
         assert watch.events() == []
     pause["before"] = 100_000_000
     now["boot"] = now["boot"] + 10**9
-    assert watch.events() == [], "nobody knows yet"
+    assert watch.events() == [], "a pause and a suspend are not distinguished yet"
     pause["before"] = 0
     assert [event.number for event in watch.events()] == [1000]
 

@@ -1,4 +1,4 @@
-"""The time scale of a run: that of the simulator on its bus, unless the operator chooses one."""
+"""The time scale of a run: the scale of the simulator, unless the operator chooses a scale."""
 
 import pytest
 

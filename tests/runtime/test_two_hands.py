@@ -38,7 +38,7 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
         assert stopped.returncode == 0, stopped.stderr
         code, result, err = result_of(runs[0])
         assert (code, result["failure"]) == (0, ""), err
-        # The second hand still holds its goal, and its own stop ends it.
+        # The second hand still holds its goal, until a stop for this hand.
         assert runs[1].poll() is None
         wait_for("stay", watchers[1], runs[1])
     finally:

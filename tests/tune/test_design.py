@@ -43,7 +43,7 @@ def test_the_packaged_gains_keep_their_margins(name: str) -> None:
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
-    """Each tendon gets the authority that its own margins permit."""
+    """The margins of a tendon limit the authority of this tendon only."""
     hand = load_hand("t42")
     left, right = hand.digit
     heavy = left.model_copy(update={"link_mass_kg": tuple(20.0 * mass for mass in left.link_mass_kg)})

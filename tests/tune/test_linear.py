@@ -1,4 +1,4 @@
-"""Linear loops: they predict the running code, and their margins are those of `control`."""
+"""Linear loops predict the running code, and have the margins that `control` computes."""
 
 import math
 

@@ -14,4 +14,4 @@ def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
     hand = load_hand("jamia")
     score = score_exercise(hand, HandModel.of(hand, detuned_gains(), 500.0), PLANT, seed)
     assert score.failure == ""
-    assert 1.0 < score.tracking_deg < 3.0, "they are bad, and that is what tuning is for"
+    assert 1.0 < score.tracking_deg < 3.0, "the detuned gains track badly, without a fault"

@@ -59,7 +59,10 @@ def with_force(force: float) -> HandModel:
 
 @pytest.mark.parametrize("force", [5.0, 50.0, 150.0, 393.0])
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
-    """A saturated control law has no slope. The matrices are those of the gains, however large they are."""
+    """A saturated control law has no slope.
+
+    The matrices are computed from the gains, even from large gains.
+    """
     model = with_force(force)
     K = controller_system(model, 0, LoopKind.TENSION)
     per_newton = model.motion.tension[0] + model.gains.tension.integral_per_s * model.period
@@ -140,7 +143,7 @@ def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand", HANDS)
 def test_written_design_is_stable(hand: str, seed: int) -> None:
-    """Check every loop's eigenvalues and a step of each in lockstep, on its own plant and on another."""
+    """Check eigenvalues and a step in lockstep of every loop, on the plant of the design and on another."""
     model, factors = model_of(hand, seed, 3.0), draw_ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
     try:
@@ -230,7 +233,7 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(monkeypatch: pytest.
 
 
 def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
-    """The swing is no larger than the plant's own, but the eigenvalues oscillate at that tension."""
+    """The swing is no larger than the swing of the plant, but the eigenvalues oscillate at this tension."""
     chatter = (4.0, 4.0, 4.0, 4.0)
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
     ringing = HandModel.of(jamia.hand, Gains.model_validate(slow), 500.0)
@@ -244,7 +247,7 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.Monkey
 
 
 def test_gains_that_fail_at_the_least_friction_are_refused(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
-    """If the run without feedback fails as well, the plant's own swing is unknown."""
+    """If the run without feedback fails as well, the swing of the plant is unknown."""
     lost = Swing(math.inf, math.inf, (math.inf,) * 4, "N14b")
     still = Swing(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(

@@ -108,7 +108,7 @@ def _read(lines: Sequence[str], config: pytest.Config) -> Reports:
     for line in lines:
         report = config.hook.pytest_report_from_serializable(config=config, data=json.loads(line))
         if report.skipped and isinstance(report.longrepr, list):
-            report.longrepr = tuple(report.longrepr)  # JSON knows no tuple, pytest's summary no list
+            report.longrepr = tuple(report.longrepr)  # JSON has no tuple, the summary of pytest no list
         reports[report.nodeid].append(report)
     return reports
 

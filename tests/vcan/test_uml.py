@@ -1,4 +1,4 @@
-"""The runner: every end of a command comes back as a status, and no process stays behind."""
+"""The runner: every end of a command is returned as a status, and no process remains."""
 
 import contextlib
 import os
@@ -19,7 +19,7 @@ def _possible() -> None:
 
 
 def processes_of(folder: str) -> list[int]:
-    """Return the processes whose command lines name a folder: those of a guest that is alive."""
+    """Return the processes whose command lines name a folder, which belong to a running guest."""
     pids = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
@@ -76,7 +76,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
         assert status == uml.TIMED_OUT
         assert output == ["started"]
         if uml.vcan_access()[0] == "uml":
-            assert {len(allowed) for allowed in cores} == {1}, "kernel and program of a guest on one core"
+            assert {len(allowed) for allowed in cores} == {1}, "kernel and program of a guest use one core"
         end = time.monotonic() + 20.0
         while processes_of(folder) and time.monotonic() < end:  # killed processes disappear after a moment
             time.sleep(0.1)

@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def _look(seen: threading.Event) -> None:
-    """Wait for this process's viewer and its data, take the picture, report, and close the viewer."""
+    """Wait for the viewer of this process and its data, save and report the picture, and close the viewer."""
     viewer = _viewer()
     client = _client(viewer)
     while not _has_data(client):

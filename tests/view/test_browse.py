@@ -1,4 +1,4 @@
-"""A log in its own viewer: the first part arrives first, and the whole log arrives."""
+"""A log in a separate viewer: the first part arrives first, and finally the whole log."""
 
 import itertools
 import json
@@ -105,7 +105,7 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with running_viewer(["--headless", str(GOLDEN)], vulkan):
-        assert any(tmp_path.rglob("rerun-data-*")), "it keeps some while it runs"
+        assert any(tmp_path.rglob("rerun-data-*")), "a running viewer has temporary files"
     assert list(tmp_path.iterdir()) == []
 
 

@@ -95,7 +95,7 @@ def test_live_view_ends_with_its_viewer(
     try:
         for tick_in, out in synthetic.Synthetic(run, 1.0):
             recorder.record(pack_tick_record(tick_in, out))
-        assert wait_for(ViewerClient.connect(url_of(follower)), 1) > 0, "the follower knows that its viewer listens"
+        assert wait_for(ViewerClient.connect(url_of(follower)), 1) > 0, "the follower is connected to its viewer"
         (window,) = psutil.Process(follower.pid).children()
         window.kill()
         assert follower.wait(WAIT_S) == 0

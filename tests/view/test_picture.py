@@ -92,9 +92,9 @@ def test_viewer_ignores_streams_of_other_programs(bare: "tuple[Viewer, ViewerCli
     Regression: such a program replaced the views of the next viewer.
     """
     running, client = bare
-    assert not running.url.endswith(":9876/proxy"), "Rerun's default port"
+    assert not running.url.endswith(":9876/proxy"), "the viewer does not use the default port of Rerun"
     (shown,) = client.get_state().recordings
-    assert "handctl" not in str(shown.store_id), "a recording of a follower"
+    assert "handctl" not in str(shown.store_id), "the picture is no recording of a follower"
 
 
 def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.MonkeyPatch) -> None:

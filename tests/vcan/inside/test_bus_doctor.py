@@ -24,7 +24,7 @@ def test_an_interface_that_is_down_or_absent_comes_with_the_command(capsys: pyte
         assert main(["bus", "doctor", "--bus", "socketcan:vcan1"]) == 1
         output = capsys.readouterr().out
         assert "sudo ip link set vcan1 up" in output
-        assert "link add" not in output, "it is there, and cannot be added twice"
+        assert "link add" not in output, "an existing interface is not added again"
     finally:
         subprocess.run(["ip", "link", "set", "vcan1", "up"], check=True)
     assert main(["bus", "doctor", "--bus", "socketcan:vcan7"]) == 1
@@ -56,7 +56,7 @@ def test_bus_up_makes_an_interface_and_sets_it_up(capsys: pytest.CaptureFixture[
         link = read_link("vcan7")
         assert link is not None
         assert (link.up, link.kind, link.fd, link.queue) == (True, "vcan", True, 128)
-        assert main(["bus", "up", "--bus", "socketcan:vcan7", "--yes"]) == 0, "again"
+        assert main(["bus", "up", "--bus", "socketcan:vcan7", "--yes"]) == 0, "a second call succeeds"
         assert "ip link set vcan7 down" in capsys.readouterr().out
     finally:
         subprocess.run(["ip", "link", "del", "vcan7"], check=True)

@@ -134,7 +134,7 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
 
     outcome, truth = run_until_done(tmp_path, FaultObserver(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)), "")
     moved = np.diff(offsets[-3:])
-    assert moved == pytest.approx([HOUR_S, -2.0 * HOUR_S], abs=5.0), "it was felt: all clocks moved"
+    assert moved == pytest.approx([HOUR_S, -2.0 * HOUR_S], abs=5.0), "the wall clock moved"
     assert (outcome.state.failure, outcome.exit) == ("", ExitCode.DONE)
     for digit in DIGITS:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit
@@ -150,14 +150,14 @@ def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(interfa
     observer = FaultObserver(lambda: set_up(interface, False))
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure
-    assert outcome.exit == ExitCode.REMOVE_POWER, "no drive could confirm"
+    assert outcome.exit == ExitCode.REMOVE_POWER, "no drive confirmed the end of torque"
     after = observer.modes[observer.modes.index(Mode.ACTIVE) :]
     acted = round(AT_S * RATE_HZ)
-    assert after[: acted + 3].count(Mode.ACTIVE) <= acted + 1, "the next tick cuts"
+    assert after[: acted + 3].count(Mode.ACTIVE) <= acted + 1, "the next tick removes torque"
     torque = np.array([truth.column(f"torque/{digit}_motor") for digit in DIGITS])
     driven = truth.t_ns[np.abs(torque).max(axis=0) > 1e-3]
     late_ms = (int(driven[-1]) - observer.done_ns) * 1e-6
-    assert truth.column("tension/index_tendon").max() > 0.25 * PULL_N, "it pulled before"
+    assert truth.column("tension/index_tendon").max() > 0.25 * PULL_N, "the tendon was taut before"
     assert late_ms <= WATCHDOG_MS + 20.0, f"{late_ms:.0f} ms, the guest's clocks slip"
     with RunLog(tmp_path / "run.mcap") as log:
         assert not log.warning

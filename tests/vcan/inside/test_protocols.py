@@ -63,7 +63,7 @@ def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) 
     child.start()
     os.close(theirs)
     try:
-        assert select.select([ours], [], [], READY_S)[0], "firmware_sim did not serve"
+        assert select.select([ours], [], [], READY_S)[0], "firmware_sim did not start"
         assert os.read(ours, 4096).startswith(b"firmware_sim: ready")
         yield
         child.terminate()
