@@ -5,7 +5,7 @@ hands move freely, grasp a cylinder and slacken their tendons, in lockstep over 
 hand `jamia_bench` pulls beyond the knee of its tendons. The plant has the effects of the hand files
 and of firmware_sim: capstan and motor friction, tendon damping, current loop, encoder and load-cell
 resolution, noise, drift, one period of bus delay. The factors below change the parameters of the
-plant, and the controller does not know these factors.
+plant, and the controller does not use these factors.
 
 A sample is one control period old when the filter receives it. Filter and raw load cell are
 compared with the true tension at two instants: at the time of the sample, and at present. The

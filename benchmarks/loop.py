@@ -80,7 +80,7 @@ def ratio(rates: dict, name: str) -> float | None:
 
 
 def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> dict:
-    """Run one measurement in its own process."""
+    """Run one measurement in a separate process."""
     words = ["--one", which, hand, bus, str(seconds), str(rate_hz)]
     out = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, timeout=120)
     if out.returncode:

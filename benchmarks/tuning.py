@@ -1,4 +1,4 @@
-"""Benefit of tuning on a plant that differs from the hand file, compared with a search that knows the true plant.
+"""Benefit of tuning on a plant that differs from the hand file, and of a search on the true plant.
 
 The true plant differs from the hand file by up to 30 %, and the initial gains are wrong by a factor
 of 3. One search uses an ensemble around the hand file, and another search uses the true plant. With

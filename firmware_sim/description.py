@@ -22,7 +22,7 @@ PER_LINK_KEYS = (
 )
 """Keys of a digit with a list of one value per link.
 
-In schema 2 a single number stands for equal values.
+In schema 2 a single number defines equal values.
 """
 
 
@@ -109,7 +109,7 @@ class LinkMesh:
 class ArmCurve:
     """Moment arm of a tendon at a joint by the joint angle.
 
-    Beyond the limits of the joint the arm is that at the limit.
+    Beyond the limits of the joint the arm is constant.
 
     Attributes:
         low: smallest joint angle [rad].

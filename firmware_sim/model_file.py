@@ -34,7 +34,7 @@ BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for 
 def read_model_file(path: str, kind: str) -> dict[str, Any]:
     """Read the tree of links of a hand.
 
-    All poses are those with the joints at angle zero, which is the pose in the file. Bodies that are
+    All poses are given for joints at angle zero, which is the pose in the file. Bodies that are
     fixed to each other are one link. The frame of a link has its origin in the joint.
 
     Args:

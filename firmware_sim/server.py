@@ -26,8 +26,8 @@ SLIP_PAUSE_S = 0.005
 MAX_CATCH_UP_NS = 4_000_000
 """Maximum plant time that one turn catches up [ns].
 
-Computing this time takes half a millisecond. In a longer turn an answer could come after the next
-SYNC.
+Computing this time takes half a millisecond. In a longer turn an answer could be later than the
+next SYNC.
 """
 
 

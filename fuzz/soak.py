@@ -1,7 +1,8 @@
 """A simulated hand and its controller in real time for hours, with a random fault per minute.
 
-The soak watches memory and descriptors. A controller that ends at a fault is started again. The simulator
-goes on until a remaining fault keeps a new controller from arming. Each log is read completely and deleted.
+The soak watches memory and descriptors. A controller that ends at a fault is started again. The
+simulator runs until a remaining fault prevents that a new controller arms. Each log is read
+completely and deleted.
 """
 
 import argparse
@@ -174,7 +175,7 @@ class Soak:
                 self.lives[name][-1].append(sample(process.pid, t))
 
     def judged(self) -> dict[str, object]:
-        """Return the result: counts, memory, descriptors, and everything that was wrong."""
+        """Return the result: counts, memory, descriptors, and all errors."""
         slopes = {name: [slope(one) for one in lives if one] for name, lives in self.lives.items()}
         known_slopes = {name: [one for one in found if one is not None] for name, found in slopes.items()}
         for name, found in known_slopes.items():

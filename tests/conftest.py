@@ -39,11 +39,11 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # Where Python may store no byte code, each program that the tests start would compile 300 modules, half of its start.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     BYTE_CODE = tempfile.TemporaryDirectory(prefix="handctl-byte-code-", ignore_cleanup_errors=True)
-    """Folder for the byte code of these programs. It is removed when this process ends."""
+    """Folder for the byte code of these programs, removed at the end of this process."""
     os.environ["PYTHONPYCACHEPREFIX"] = BYTE_CODE.name
 if "HANDCTL_RUN_DIR" not in os.environ:
     RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
-    """Folder for buses and truths of these tests. It is removed when this process ends."""
+    """Folder for buses and truths of these tests, removed at the end of this process."""
     os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
 
 

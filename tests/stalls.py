@@ -1,7 +1,8 @@
 """Detection of stalls of the machine. A test on the real clock that failed during a stall proves nothing.
 
-A host pauses a virtual machine now and then for tens of milliseconds. A controller ends its run then, as
-it should. A sleeper process on each core detects the pause from outside the tested processes.
+A host sometimes pauses a virtual machine for tens of milliseconds. A controller correctly ends its
+run in such a stall. A sleeper process on each core detects the pause from outside the tested
+processes.
 """
 
 import contextlib
@@ -17,7 +18,7 @@ STALL_S = 0.010
 
 
 class StallMeter:
-    """Sleepers that report when they woke up late. They run until :meth:`close`.
+    """Sleepers that report when they woke up late. The sleepers run until :meth:`close`.
 
     Attributes:
         pids: processes of the sleepers, one per core.

@@ -1,4 +1,4 @@
-"""Hook of mkdocs: pages with answers come first in the search, and the page about the search itself is left out."""
+"""Hook of mkdocs: pages with answers are first in the search, and the search page is left out."""
 
 from typing import Any
 

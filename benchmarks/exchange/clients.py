@@ -1,8 +1,8 @@
-"""Client libraries from the package index as alternatives, each with its own motors and payloads.
+"""Client libraries from the package index as alternatives, each with its motors and payloads.
 
 The threads of the clients are stopped, and this module does the work of the threads, so that all
-clients are measured in the same way. A client that needs its own event loop (moteus: asyncio) runs
-in this event loop.
+clients are measured in the same way. A client that needs a particular event loop (moteus: asyncio)
+runs in this event loop.
 """
 
 import asyncio

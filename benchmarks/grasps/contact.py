@@ -38,7 +38,8 @@ def task_of(phases: list[dict[str, Any]]) -> TaskProgram:
 def find_contacts(job: tuple[str, int]) -> list[float]:
     """Measure for a hand and a seed the time from 1 N on a digit to its contact event, one per digit [s].
 
-    A time is negative if the event comes before the force reaches 1 N, and inf without an event.
+    A time is negative if the event is before the time at which the force reaches 1 N, and inf
+    without an event.
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")

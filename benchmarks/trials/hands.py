@@ -1,8 +1,8 @@
 """Hands of the benchmarks: the packaged hands, and the same hands with more distance between their digits.
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
-finger touches the thumb. In the benchmarks of free motion the digits must touch nothing. The digits
-of these hands are therefore moved apart. All other properties of the hands are unchanged.
+finger touches the thumb. In the benchmarks of free motion the digits must not touch any object. The
+digits of these hands are therefore moved apart. All other properties of the hands are unchanged.
 """
 
 from functools import cache

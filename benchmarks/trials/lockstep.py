@@ -45,7 +45,7 @@ class Trial:
         program: program of the controller.
         seed: seed of noise, drift and encoder offsets.
         scene: scene of the simulator. None for a hand without an object.
-        perturb: factors on the parameters of the plant, which the controller does not know.
+        perturb: factors on the parameters of the plant, which the controller does not use.
         gains: gains of the controller.
         rate_hz: control rate [Hz]. 0 selects the default of the hand.
         limit_s: longest time of the trial [s].

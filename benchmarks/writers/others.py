@@ -124,7 +124,7 @@ def json_mcap(path: Path) -> Writer:
 
 
 def foxglove(path: Path) -> Writer:
-    """The Foxglove SDK: its own channels for dictionaries, which it writes as JSON."""
+    """The Foxglove SDK, with its channels for dictionaries, which are written as JSON."""
     import foxglove as sdk
     from mcap.reader import make_reader
 

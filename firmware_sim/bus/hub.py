@@ -234,7 +234,7 @@ def _is_foreign(link: socket.socket) -> bool:
 def _listen(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # Check, unlink and bind must not interleave with those of another hub. Therefore the
+        # Check, unlink and bind must not interleave with these calls of another hub. Therefore the
         # directory is locked.
         with _locked(path.parent):
             if _is_served(path):

@@ -42,7 +42,10 @@ class Port(Protocol):
         ...
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """Receive frames from the sockets that are ready. The caller repeats the call until no frame comes."""
+        """Receive frames from the sockets that are ready.
+
+        The caller repeats the call until there is no frame.
+        """
         ...
 
     def send(self, frames: list[Frame]) -> None:
@@ -80,7 +83,10 @@ def open_port(spec: str, bus: int, timed_port: Callable[[str, int], Port] | None
 
 
 def is_on_this_machine(spec: str) -> bool:
-    """Return True if all frames of a bus stay on this machine. A pause of the clock then delays no frame."""
+    """Return True if all frames of a bus stay on this machine.
+
+    A pause of the clock then delays no frame.
+    """
     kind, _, name = spec.partition(":")
     return kind == "local" or (kind == "socketcan" and (VIRTUAL_INTERFACES / name).exists())
 

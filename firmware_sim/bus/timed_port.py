@@ -28,7 +28,7 @@ class TimedPort:
 
     Events between two calls are processed in the order of the wire. ``receive`` returns the frames
     of one instant, so that answers are on the wire before the next frame. The caller repeats the
-    call until no frame comes. The nodes have one controller for each identifier they send.
+    call until there is no frame. The nodes have one controller for each identifier they send.
 
     Attributes:
         wire: the simulated wire.

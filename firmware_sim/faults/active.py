@@ -122,8 +122,8 @@ class Faults:
             self._index()
         frames = [frame for bus, active in self._all_wire for frame in wire_faults.due([active], t_ns)]
         if not self._turn_ns or (t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0):
-            # Generated frames come at the ends of whole steps. A fault can start within a step, so
-            # the completed part of the step is subtracted.
+            # Generated frames are sent at the ends of whole steps. A fault can start within a step,
+            # so the completed part of the step is subtracted.
             self._turn_ns = t_ns - self._world.plant.part_ns + GENERATION_PERIOD_NS
             frames += self._generated(t_ns)
         return frames

@@ -24,7 +24,7 @@ UNSENT_END_BITS = 1 + 7
 SUSPEND_BITS = 8
 """Suspend time of an error-passive sender."""
 RECOVERY_BITS = 128 * 11
-"""Recessive bits that a controller must see before it returns from bus-off."""
+"""Recessive bits that a controller must receive before it returns from bus-off."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -225,7 +225,7 @@ BAD_DESCRIPTIONS = [
     ("--mjcf", mjcf_of(HINGE, '<equality><joint name="e" joint1="j"/></equality>'), "the equality e closes"),
     ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE}'), "body a has 2 joints; expected one hinge for each body"),
 ]  # fmt: skip
-"""Descriptions that are no hand, and what the line says."""
+"""Descriptions that are no hand, and the text of the error."""
 
 
 @pytest.mark.parametrize(("form", "text", "said"), BAD_DESCRIPTIONS)

@@ -152,7 +152,7 @@ def no_bus(monkeypatch):
 
 
 def refusal(capsys, option, file):
-    """Return the error line of `run` for a file, empty if the command goes on to the bus."""
+    """Return the error line of `run` for a file, empty if the command reaches the bus."""
     others = [] if {"--task", "--trajectory"} & {*option} else ["--task", "grasp"]
     try:
         code = main(["run", "--bus", BUS, *option, file, *others])

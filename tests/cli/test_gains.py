@@ -18,7 +18,7 @@ from tests.runtime.processes import scaled
 
 PACKAGED_N = Gains().motion.force_N
 SAME = f"tension.force_N={Gains().tension.force_N}"
-"""A setting that changes nothing."""
+"""A setting without effect."""
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def ticks_of(log: RunLog) -> list[bytes]:
-    """Return the ticks of a log as the recorder gets them."""
+    """Return the ticks of a log as the recorder receives them."""
     axes = [len(log.header.axis(name)) for name in ("joint", "tendon", "motor", "digit")]
     pairs = zip(log.messages(), log.packed(), strict=True)
     return [SIZES.pack(len(message), *axes) + message + numbers for message, numbers in pairs]

@@ -248,7 +248,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
 @pytest.mark.parametrize("words", [("--output", "x.png"), ("--output", "x.toml", "--picture", "./x.toml")])
 @pytest.mark.parametrize("kind", ["design", "search"])
 def test_gains_and_picture_are_two_files(place, capsys, kind, words):
-    """Otherwise the picture would overwrite the gains."""
+    """The picture would overwrite the gains."""
     assert "the name of the picture" in refused(capsys, "tune", kind, "--plants", "1", *words)
     assert not list(place.iterdir())
 

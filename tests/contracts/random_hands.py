@@ -33,7 +33,7 @@ RATE_HZ, TICKS = 200.0, 40
 FREE_TICKS = 10
 """Number of ticks at the end, in which faults may end the motion.
 
-Before, the hand is kept active.
+In earlier ticks the hand is kept active.
 """
 LOST_FRACTION, DUPLICATE_FRACTION, CORRUPT_FRACTION, SKIPPED_FRACTION = 0.03, 0.02, 0.02, 0.03
 """Fractions of frames that are lost, duplicate or corrupt, and fraction of ticks that are skipped."""

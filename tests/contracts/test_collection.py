@@ -1,4 +1,4 @@
-"""Stages of `make test` for tests on the real clock import only the files that have such tests."""
+"""Stages of `make test` for tests on the real clock import only the files with such tests."""
 
 import re
 from pathlib import Path

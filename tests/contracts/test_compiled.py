@@ -180,7 +180,7 @@ def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
     """Run the kernel of a copy, and return its result.
 
     Returns:
-        Its result, whether its code was stored before, and whether code can be stored.
+        The result, True if the code was stored before, and True if code can be stored.
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(package.parent)}
     command = [sys.executable, "-c", ASK_SCRIPT]

@@ -21,7 +21,7 @@ from handctl.safety.faults.table import CATALOGUE, TABLE, remedy_for
 ROOT = Path(__file__).parents[2]
 SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
 IDS = [f"{letter}{number:02}" for letter, size in SIZES.items() for number in range(1, size + 1)]
-"""The 68 rows of the project's fault catalogue, N17, which was found in a trial, and I11, which came with streams."""
+"""The 68 rows of the project's fault catalogue, N17 from a trial, and I11 for streams."""
 BY_ID = {entry.id: entry for entry in CATALOGUE}
 
 AUTOSAR = {

@@ -1,4 +1,4 @@
-"""The README is short, agrees with the code, and says first what is not known."""
+"""The README is short, agrees with the code, and first states what is unknown."""
 
 import tomllib
 from pathlib import Path

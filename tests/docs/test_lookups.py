@@ -1,7 +1,7 @@
 """A reader finds the answers to frequent questions soon: few clicks, few words above the answer.
 
 Two minutes are 400 words at an easy pace. The words above an answer are counted from the place to which the last click
-leads. They are an upper bound, because nobody reads the rows of a table in order.
+leads. This number is an upper bound, because readers do not read the rows of a table in order.
 """
 
 import re

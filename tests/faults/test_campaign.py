@@ -229,7 +229,7 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
 
 
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
-    """Use an ODrive without torque feedback. Its load cell saturates below the tension that causes an immediate cut."""
+    """Use an ODrive without torque feedback. The load cell saturates below the tension of an immediate cut."""
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
     with homed_run(hand, 400.0, 0) as simulation:

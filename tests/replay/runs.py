@@ -110,7 +110,7 @@ def run(
     """Run a program on a homed hand that meets a cylinder.
 
     Args:
-        log: file to write. It contains no machine and no date.
+        log: file to write, without data about machine and date.
         program: the program.
         hand, rate_hz, seed: parameters of the run.
         friction: friction of the cylinder.

@@ -1,6 +1,7 @@
 """A recorded grasp driven again, judged by the simulator's truth: angles, tensions and forces of the plant.
 
-Both runs are in lockstep, therefore the figures are constant. The second has another rate and other noise.
+Both runs are in lockstep, therefore the figures are constant. The second run has another rate and
+other noise.
 """
 
 from dataclasses import dataclass

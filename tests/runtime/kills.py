@@ -33,7 +33,7 @@ from handctl.session.tasks import load_task
 from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_homed
 
 SYNC = 0x080
-"""CAN identifier of the SYNC frame. Its first byte is the tick count."""
+"""CAN identifier of the SYNC frame, whose first byte is the tick count."""
 RECORD = 72
 """Size of a frame on the local bus [bytes]."""
 RATE_HZ = 500.0

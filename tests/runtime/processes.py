@@ -22,7 +22,10 @@ END_S = 200.0
 """Longest run of a verb [s]."""
 BUS = "local:t"
 SCALE = 1.0
-"""Time scale of simulator and controller. Their clock pauses where this machine is too slow."""
+"""Time scale of simulator and controller.
+
+The shared clock pauses where this machine is too slow.
+"""
 SERIAL = 0x4000
 """First serial number of the simulated drives. Each drive adds its number on the bus."""
 HOMED = ("--homed", "--serial", f"{SERIAL:#x}")

@@ -209,7 +209,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
 
 @SECOND_USER
 def test_requests_and_status_lines_of_another_user_are_ignored(shared):
-    """Also in an open folder: the kernel names the user of each sender."""
+    """Messages in an open folder are ignored as well, because the kernel names the user of each sender."""
     box = Mailbox("local:x")
     watcher = Watcher("local:x")
     for path in (watcher.path, Path(box.path)):

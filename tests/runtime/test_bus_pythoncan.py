@@ -49,7 +49,10 @@ def bus() -> Iterator[PythonCanBus]:
 
 
 def test_frames_that_an_adapter_echoes_are_not_received(bus: PythonCanBus) -> None:
-    """A gs_usb returns every sent frame as received. It would look like a second controller."""
+    """A gs_usb returns every sent frame as received.
+
+    Such a frame would look like a second controller.
+    """
     bus._bus.shutdown()
     bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
     with can.Bus("broken", interface="virtual") as other:

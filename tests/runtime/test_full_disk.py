@@ -16,10 +16,7 @@ from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 ROOM = "96m"
-"""Size of the disk.
-
-It exceeds the free space at which the recorder ends a log, so that the run begins as usual.
-"""
+"""Size of the disk, larger than the free space at which the recorder ends a log."""
 
 
 @pytest.fixture

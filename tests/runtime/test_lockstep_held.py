@@ -20,7 +20,7 @@ from tests.runtime.processes import GO, MOVE
 
 @pytest.mark.timeout(120)
 def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
-    """The time of the task stops while a fault holds the hand. The run once had no end."""
+    """The time of the task stops while a fault holds the hand. Regression: the run had no end."""
     task = tmp_path / "bend.toml"
     task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.5))
     hand = load_hand("jamia")

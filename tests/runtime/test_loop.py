@@ -24,7 +24,7 @@ CUT = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 @dataclass
 class ScriptedClock:
-    """A clock with a given lateness for each wait [ns], then zero. It records the ticks it waited for."""
+    """A clock with a given lateness for each wait [ns], then zero, and a record of all waits."""
 
     late: list[int] = field(default_factory=list)
     waits: list[int] = field(default_factory=list)
@@ -134,7 +134,7 @@ def test_ticks_follow_one_another_at_their_times() -> None:
 
 
 def test_the_warm_up_tick_has_no_effect() -> None:
-    """It runs before the clock starts, reaches no bus and no log, and its state is discarded."""
+    """The warm-up runs before the clock starts, sends and records nothing, and its state is discarded."""
     run = Run(frames=(Frame(7, b""),))
     run.go()
     assert len(run.entries) == 6

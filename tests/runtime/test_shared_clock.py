@@ -88,7 +88,7 @@ def test_the_clock_pauses_for_a_late_controller(machine, late_ms) -> None:
 
 
 def test_ticks_of_a_controller_that_was_stopped_are_missed(machine) -> None:
-    """A person may stop the controller, and the watchdogs of the drives must see it."""
+    """A user may stop the controller, and the watchdogs of the drives must trip."""
     clock = machine.controller
     clock.start()
     clock.wait(0)
@@ -142,7 +142,7 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(machine) -> None:
 
 
 def test_a_simulator_behind_its_time_is_waited_for(machine) -> None:
-    """It has answered all frames, but its sensors would send frames meanwhile."""
+    """The simulator has answered all frames, but simulated sensors would send more frames."""
     clock = machine.controller
     clock.start()
     clock.wait(0)
@@ -231,7 +231,10 @@ def test_only_buses_of_this_machine_share_a_clock() -> None:
 @pytest.mark.realtime
 @pytest.mark.parametrize("victim", ["simulator", "controller"])
 def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, victim) -> None:
-    """Stops of 20 ms, as a busy machine makes them. Without the shared clock each of them delays ten ticks."""
+    """Stops of 20 ms, as a busy machine makes them.
+
+    Without the shared clock each stop delays ten ticks.
+    """
     processes.append(start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json"))
     simulator, controller = processes[-2:]
     with closing(Watcher(BUS)) as watcher:

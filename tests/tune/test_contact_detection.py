@@ -52,7 +52,7 @@ UNDISTURBED_SAMPLE = {("jamia", 5)}
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
 ) -> None:
-    """Springs of 1.41 and 1.73 instead of 1.2 were once kept without a message."""
+    """Regression: springs of 1.41 and 1.73 instead of 1.2 were accepted without a message."""
     found = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
     for one in found.values():
         assert one.contact or one.blocked

@@ -106,7 +106,10 @@ def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
 
 @pytest.mark.parametrize("passed", [0.8, 1.0, 1.25])
 def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
-    """Friction lowers one tension and raises the other. Their difference pulls the joint."""
+    """Friction lowers one tension and raises the other.
+
+    The difference of the tensions pulls the joint.
+    """
     nets = np.linspace(-40.0, 40.0, 81)
     spool = tension_of_pair(nets, 10.0, np.full(81, passed))
     first, second = (np.maximum(np.maximum(10.0 + 0.5 * side * spool, side * spool), 0.0) for side in (1.0, -1.0))
@@ -121,7 +124,7 @@ def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
 
 
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
-    """The time of the program stops meanwhile, so that the run once lasted forever."""
+    """Regression: the time of the program stops during a fault, so that the run had no end."""
     limit = HoldLimit()
 
     def ticks(action: Action, begin_s: float, end_s: float) -> list[str]:

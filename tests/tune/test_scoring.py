@@ -10,7 +10,7 @@ from handctl.tune.scoring import score_exercise
 
 @pytest.mark.parametrize("seed", [1000, 1002])
 def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
-    """N04 once raised an alarm at 2.5 s: its lagging goal moved on after the motor had stopped 0.4 mm short."""
+    """Regression: N04 was raised at 2.5 s, because the lagging goal moved after the motor had stopped 0.4 mm short."""
     hand = load_hand("jamia")
     score = score_exercise(hand, HandModel.of(hand, detuned_gains(), 500.0), PLANT, seed)
     assert score.failure == ""

@@ -20,7 +20,7 @@ def test_rows_are_in_one_block_each(seed: int) -> None:
 
 @pytest.mark.parametrize("span", [0.0, 0.1, 20.0])
 def test_equal_times_take_a_few_seconds_at_most(span: float) -> None:
-    """4000 rows in one block once took minutes."""
+    """Regression: 4000 rows in one block required minutes."""
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
     begin = time.process_time()
@@ -45,7 +45,7 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
 
 
 def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
-    """A run in which a digit hardly moved once ended with an overflow warning."""
+    """Regression: a run in which a digit hardly moved ended with an overflow warning."""
     jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
     with np.errstate(all="raise", under="ignore"):
         covariance, freedom = _covariance(jacobian, np.ones(102), np.linspace(0.0, 5.0, 100))

@@ -160,7 +160,7 @@ def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
 
 
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
-    """Positive control of the rest test: gains that were once written with infinite margins."""
+    """Positive control of the rest test, with gains that an earlier version wrote with infinite margins."""
     model = with_force(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
     assert not simulate_swing(model.hand, model, {}, 0).at_rest
@@ -173,7 +173,7 @@ def rest_test_of(model: HandModel) -> RestTest:
 
 
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
-    """They were: a digit without load cells that closed with 30 N ended every step test with T01."""
+    """Regression: a digit without load cells that closed with 30 N ended every step test with T01."""
     model = HandModel.of(load_hand("orca_like"), Gains(), RATES["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
     assert swing.failure == ""

@@ -76,7 +76,7 @@ class Dictionary:
 
     Attributes:
         texts: objects with a text, such as the name of the device.
-        values: values of the objects, those of ``kernels.CYCLIC_OBJECTS`` first.
+        values: values of the objects, first the objects of ``kernels.CYCLIC_OBJECTS``.
     """
 
     def __init__(self, node_id: int, memory: Any = None) -> None:

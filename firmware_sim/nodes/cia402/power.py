@@ -4,7 +4,7 @@ Control word: bit 0 switch on, bit 1 enable voltage, bit 2 quick stop (0 stops),
 operation, bit 7 fault reset (rising edge).
 
 Choices: control word 0x0F in *ready to switch on* executes transitions 3 and 4 together. Quick stop
-goes on to *switch on disabled* without a command. *Fault reaction* is passed within one step.
+changes to *switch on disabled* without a command. *Fault reaction* is passed within one step.
 """
 
 import ctypes

@@ -97,7 +97,7 @@ class AmplifierNode:
 
     Attributes:
         node_id: node number.
-        cells: indices of its load cells among those of the hand.
+        cells: indices of the node's load cells in the list of the hand.
         nmt: NMT state.
         objects: object dictionary.
         ids: identifiers that the node may answer.

@@ -3,8 +3,8 @@
 Choices where the fact sheet has an "assumption":
 
 - Commands to ESC_ID feed the watchdog, register requests do not. The option ``watchdog`` selects
-  another behaviour of ``WATCHDOGS``, because the manual says no more than "no CAN commands within
-  the interval".
+  another behaviour of ``WATCHDOGS``, because the manual only says "no CAN commands within the
+  interval".
 - FE (set zero) acts only while disabled.
 - A command of another mode than CTRL_MODE is answered and has no effect.
 - Position and velocity modes are a cascade with fixed gains, without ramps.

@@ -18,7 +18,7 @@ from handctl.session.simulate import Simulation
 OBSERVE_S = 1.3
 """Time of observation after the largest allowed reaction time, until no torque remains [s]."""
 RUNAWAY = "runaway"
-"""Name of the fault in which a drive pulls with its own torque limit, regardless of commands."""
+"""Name of the fault in which a drive pulls with the torque limit of the drive, regardless of commands."""
 SHUT_DOWN_MODES = (Mode.DISARM, Mode.DONE)
 """Modes in which the hand shuts down."""
 PAIR_DELAY_TICKS = 5
@@ -65,7 +65,7 @@ class ScenarioResult:
 
     def plain(self) -> dict[str, Any]:
         """Return the result as plain values."""
-        # The keys are those of the report file, which other programs read.
+        # The keys are equal to the keys of the report file, which other programs read.
         keys = {
             "effects": "felt",
             "detected_by": "found",

@@ -273,7 +273,7 @@ def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
 def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     """Return all pairs of the rows for pairs, in a grasp.
 
-    The fault with the more severe reaction comes first. The other fault comes a few ticks later on
+    The fault with the more severe reaction is first. The other fault starts a few ticks later on
     another instance. A row whose instance is missing from the hand, such as a load cell, has no
     pair. `period_ms` is the control period [ms].
     """

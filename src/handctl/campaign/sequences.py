@@ -192,7 +192,7 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
 def _sequence_ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict[str, Any]]:
     """Yield the inputs of each tick, and inject the faults of the simulator when due.
 
-    The stop request comes at the end of the sequence.
+    The stop request is at the end of the sequence.
     """
     host_faults: list[tuple[int, Host]] = []
     for i in range(SEQUENCE_TICKS + round(SHUTDOWN_S * 1e9 / simulation.period_ns)):

@@ -78,7 +78,7 @@ class GraspEnv(HandEnv):
         ]
 
     def extra_values(self, name: str) -> Any:
-        """Return nothing, because the telemetry contains all values."""
+        """Return no values, because the telemetry contains all values."""
         raise KeyError(name)
 
     def begin(self) -> None:

@@ -201,7 +201,7 @@ class Batcher:
     def _add_long(self, data: bytes) -> None:
         """Distribute the payload bytes after the eighth to received and sent frames."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
-        # The message has the bytes of all received frames first, then those of all sent frames.
+        # The message has the bytes of all received frames first, then the bytes of all sent frames.
         split = int(np.maximum(lengths - 8, 0).sum())
         self._received.long_parts.append(data[:split])
         self._sent.long_parts.append(data[split:])

@@ -2,7 +2,7 @@
 
 The names and fields are part of the log format and must not change.
 
-Source: the fields are those of the ROS 2 interface packages common_interfaces, rcl_interfaces,
+Source: the fields are defined in the ROS 2 interface packages common_interfaces, rcl_interfaces,
 geometry2, can_msgs, ros2_socketcan_msgs and pal_statistics_msgs. `handctl_msgs` belongs to handctl.
 """
 

@@ -73,7 +73,7 @@ def execute_log(
 
     Args:
         log: a run.
-        gains: gains to use instead of those of the run.
+        gains: gains to use instead of the gains of the run.
         observer: function called with every tick.
         progress: function called at intervals with the number of ticks so far.
         workers: number of processes. Several are used only without other gains and without

@@ -112,7 +112,7 @@ class LogRunner:
 
         Raises the errors of `rebuild_controller`.
         """
-        # With other gains the states differ from those of the log.
+        # With other gains the states differ from the log.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return LogRunner(log, rebuild_controller(log, gains), Columns.of(log.header), snapshots)
 

@@ -68,7 +68,7 @@ def _ordinal(value: float) -> int:
 def differing_fields(
     columns: Columns, logged: TickRecord, numbers: bytes, computed: TickOut
 ) -> Iterator[TickDifference]:
-    """Yield every field that differs. Decisions come first and the state hash comes last.
+    """Yield every field that differs, decisions first and the state hash last.
 
     Args:
         columns: names of the telemetry columns.

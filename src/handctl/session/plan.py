@@ -95,10 +95,11 @@ class Choice:
         hand: name of a packaged hand, or path of a hand file.
         hand_named: True if the operator named the hand.
         bus: ``SPEC``, or one ``NAME=SPEC`` per bus, or None in lockstep.
-        gains: gains file, or None for the hand's own gains.
+        gains: gains file, or None for the gains of the hand.
         gain: KEY=VALUE words, which override every file.
         rate: control rate [Hz], or None for the highest usual rate.
-        time_scale: run time divided by wall time, or None for that of the simulator on the bus.
+        time_scale: run time divided by wall time, or None for the time scale of the simulator on
+            the bus.
         log: log file to write, or None.
         clear: True to clear the latched errors of the drives.
     """
@@ -147,14 +148,14 @@ def make_plan(
 
 
 def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
-    """Return the time scale of a run: the chosen time scale, else that of the simulator on the buses, else 1.
+    """Return the time scale of a run: the chosen scale, else the scale of the simulator, else 1.
 
     Args:
         chosen: simulated seconds per second of wall time, or None.
         buses: specification of each bus, empty in lockstep.
 
     Raises:
-        ConfigError: the time scale is out of range, is not 1 on a real bus, or is not that of the
+        ConfigError: the time scale is out of range, is not 1 on a real bus, or differs from the
             simulator.
     """
     if chosen is not None and not 0.001 <= chosen <= 100:

@@ -135,7 +135,7 @@ class VerifyObserver:
         self._torque = torque
         if before is None or out.mode != Mode.ACTIVE:
             return 0.0
-        # The observer does not know the control rate, so it uses the mean period so far.
+        # The observer does not have the control rate, and uses the mean period so far.
         period = entry.t_ns / max(entry.k, 1) / 1e9
         self._rates.append(float(np.square(torque - before).mean()) / period**2)
         while len(self._rates) > WINDOW_S / period:

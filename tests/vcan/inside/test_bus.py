@@ -129,7 +129,7 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
 
 
 def wait_for(bus: Bus, kind: str) -> list[Frame]:
-    """Return the frames that came before an event of this kind."""
+    """Return the frames received before an event of this kind."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while kind not in {event for event, _, _ in bus.take_events()}:
         assert time.monotonic() < end, f"no {kind} in {WAIT_S} s"

@@ -20,7 +20,7 @@ HANDCTL = Path(sys.executable).with_name("handctl")
 TASK = Path(__file__).with_name("short_grasp.toml")
 DIGITS = {"index", "middle", "ring", "thumb"}
 TIME_SCALES = (TIME_SCALE, 0.5 * TIME_SCALE, 0.25 * TIME_SCALE)
-"""Pace of each attempt. In slower time an interruption lasts less, and a defect stays."""
+"""Pace of each attempt. In slower time an interruption is shorter, and a defect is not."""
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 
 

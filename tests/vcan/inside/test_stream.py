@@ -13,7 +13,10 @@ from tests.runtime.processes import HOMED, write_homed
 from tests.vcan.inside.conftest import SIMULATOR, STALL_FAULTS, TIME_SCALE
 
 TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
-"""Pace of each attempt. In slower time an interruption of the guest lasts less, and a defect stays."""
+"""Pace of each attempt.
+
+In slower time an interruption of the guest is shorter, and a defect is not.
+"""
 TRACKED_S = 2.5
 """Length of the motion [s]. The first second does not count."""
 LARGEST_RATIO = 1.5

@@ -28,7 +28,7 @@ PARAMETER_NAMES = (
 )  # fmt: skip
 """Names of a tendon's parameters in the order of the fit.
 
-The drift of the load cell comes after these.
+The drift of the load cell follows after these names.
 """
 LOAD_PARAMETERS = slice(PARAMETER_NAMES.index("tendon_stiffness"), PARAMETER_NAMES.index("stretch_offset") + 1)
 """Indexes of the parameters in `fit_load.LoadParameters`."""

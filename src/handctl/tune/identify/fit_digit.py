@@ -3,10 +3,10 @@
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
 This is the balance of joint i in free motion. The exponent contains the wrap angle and the joint
-angles passed by tendon j up to joint i. The drift of the load cells comes from the fits of the
-tendons. The rows of the fit are torque balances, divided by the noise that the load cells cause in
-them. Errors of the joint encoders are neglected, because they have a tenth of the effect of
-load-cell errors. Source: as in `fit_load`.
+angles passed by tendon j up to joint i. The fits of the tendons give the drift of the load cells.
+The rows of the fit are torque balances, divided by the noise that the load cells cause in them.
+Errors of the joint encoders are neglected, because they have a tenth of the effect of load-cell
+errors. Source: as in `fit_load`.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ from handctl.tune.identify.solve import Solution, solve_least_squares
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
 """Names of the factors for the whole digit, relative to the hand file.
 
-The capstan coefficients of the tendons come after these.
+The capstan coefficients of the tendons follow after these names.
 """
 HALF_WINDOW_S = 0.01
 """Time before and after a joint reading over which signals are averaged [s]."""
@@ -227,7 +227,7 @@ def _unexplained_ramp(solution: Solution, balance: Balance) -> Ramp | None:
 
 
 def _friction_scales(digit: DigitModel) -> Array:
-    """Return the scale of each capstan coefficient (tendons,), equal to that in the tendon fits."""
+    """Return the scale of each capstan coefficient (tendons,), equal to the scale in the tendon fits."""
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
 

@@ -136,7 +136,7 @@ class SearchResult:
 
 
 def _cost_reference(trials: tuple[Trial, ...]) -> Score:
-    """Return the score that serves as reference for costs."""
+    """Return the reference score for costs."""
     first = trials[0].score
     feasible = (trial.score for trial in trials if trial.feasible)
     return next(feasible, first) if first.failure else first
