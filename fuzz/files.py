@@ -26,7 +26,7 @@ from handctl.hand.load import (
 )
 from handctl.programs.calibration import calibration_from
 from handctl.programs.task import Task, trajectory_from
-from handctl.session.tasks import check_suits
+from handctl.session.tasks import check_task_for_hand
 
 Target = Callable[[bytes], bool]
 Content = Mapping[str, Any]
@@ -115,7 +115,7 @@ def task(folder: Path) -> Target:
     return _document(
         folder / "task.toml",
         list(contents),
-        lambda content: check_suits(validate_content(content, Task, "fuzzed"), jamia, "fuzzed"),
+        lambda content: check_task_for_hand(validate_content(content, Task, "fuzzed"), jamia, "fuzzed"),
     )
 
 
@@ -127,7 +127,7 @@ def trajectory(folder: Path) -> Target:
     return _document(
         folder / "trajectory.toml",
         [content],
-        lambda content: check_suits(trajectory_from(content, "fuzzed"), jamia, "fuzzed"),
+        lambda content: check_task_for_hand(trajectory_from(content, "fuzzed"), jamia, "fuzzed"),
     )
 
 

@@ -11,7 +11,7 @@ from handctl.hand.load import hand_content, hand_from_content, load_hand, packag
 from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import Close, Hold, load_task
-from handctl.programs.task_checks import check_suits
+from handctl.programs.task_checks import check_task_for_hand
 from handctl.session.tasks import find_task
 from tests.hand.chains import SEEDS, random_tree
 
@@ -20,7 +20,7 @@ from tests.hand.chains import SEEDS, random_tree
 def test_the_default_task_suits_every_hand_and_reads_back_from_text(name: str, tmp_path: Path) -> None:
     hand = load_hand(name)
     task, text = default_task(hand)
-    check_suits(task, hand, "default task")
+    check_task_for_hand(task, hand, "default task")
     (tmp_path / "task.toml").write_text(text)
     assert load_task(tmp_path / "task.toml") == task
     assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]

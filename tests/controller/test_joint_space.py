@@ -12,7 +12,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task, trajectory_from
-from handctl.programs.task_checks import check_suits
+from handctl.programs.task_checks import check_task_for_hand
 from handctl.session.simulate import Simulator, homed_controller
 from tests.controller.plant_run import model_of
 
@@ -29,7 +29,7 @@ def move(angles: dict[str, Any], seconds: float = 0.4) -> dict[str, Any]:
 
 def end_of(hand: str, program: Task, seconds: float) -> dict[str, float]:
     """Return the true joint angles of a homed hand after a task [deg]."""
-    check_suits(program, load_hand(hand), "t")
+    check_task_for_hand(program, load_hand(hand), "t")
     with Simulator(hand, None, 0, homed=True).against(homed_controller(model_of(hand), TaskProgram(program))) as run:
         run.record = False
         for _entry, out in run.ticks(seconds):
@@ -92,10 +92,10 @@ def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
 )
 def test_joint_angles_that_a_hand_cannot_have(hand: str, angles: dict[str, Any], line: str) -> None:
     with pytest.raises(ConfigError, match=rf"t: phase\[0\]\.angle_deg: .*{line}"):
-        check_suits(task(move(angles)), load_hand(hand), "t")
+        check_task_for_hand(task(move(angles)), load_hand(hand), "t")
 
 
 def test_a_curve_of_a_joint_is_checked_at_every_time() -> None:
     follow = {"kind": "follow", "time_s": (0.0, 1.0, 2.0), "angle_deg": {"index_j1": (0.0, 110.0, 0.0)}}
     with pytest.raises(ConfigError, match="110 deg for index_j1; expected 0 to 100 deg"):
-        check_suits(task(follow), load_hand("jamia11"), "t")
+        check_task_for_hand(task(follow), load_hand("jamia11"), "t")

@@ -64,7 +64,7 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
     held.tick(held.moved(-3 * SLIP_EXCURSION_M), 0.06)
     assert [event.where for event in held.events] == [model.hand.digit_names[0]]
     for goal in held.goals[:-1]:
-        np.testing.assert_allclose(goal.tension, grip.ANSWER_FACTOR * TENSION_N)
+        np.testing.assert_allclose(goal.tension, grip.RAISE_FACTOR * TENSION_N)
     assert held.goals[-1].kind == Kind.LIMP, "what does not hold is left alone"
 
 

@@ -22,7 +22,7 @@ from handctl.hand.dynamics import static_torque
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import is_target, parse_target, target_text
-from handctl.programs.streams import continued, holdable, horizon_s, mapping
+from handctl.programs.streams import continued_move, horizon_s, mapping_of_stream, nearest_holdable_posture
 from handctl.programs.task import Task
 from handctl.session.simulate import Simulation, Simulator, homed_controller
 
@@ -384,7 +384,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
     """A quintic that continues 300 deg/s over five seconds would swing 280 degrees beyond its end."""
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
-    move = continued(reference, np.radians([10.0]), 5.0, reach)
+    move = continued_move(reference, np.radians([10.0]), 5.0, reach)
     way = np.degrees([move.at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
     assert way[:, 0].max() <= 100.5
     assert way[0] == pytest.approx([90.0, 300.0, 0.0])
@@ -452,7 +452,7 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """Every joint of a hand by name: coupled joints turn by the nearest common angle."""
     names = model.hand.joints
-    where = mapping(model, "joint", names)
+    where = mapping_of_stream(model, "joint", names)
     assert where.driven.all()
     angles = np.linspace(10.0, 30.0, len(names))
     q = np.degrees(model.coupling @ where.matrix @ angles)
@@ -460,7 +460,7 @@ def test_joint_angles_become_coordinates(model: HandModel) -> None:
         part = angles[digit.joints]
         nearest = digit.coupling @ np.linalg.lstsq(digit.coupling, part, rcond=None)[0]
         np.testing.assert_allclose(q[digit.joints], nearest, atol=1e-9)
-    one = mapping(model, "joint", (names[1],))
+    one = mapping_of_stream(model, "joint", (names[1],))
     assert one.driven.sum() == 1, "the other joints of the digit stay"
 
 
@@ -583,11 +583,11 @@ def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(jamia
     floor = jamia11.floor[digit.tendons]
     for angles in ([0.0, 25.0, 0.0], [0.0, 0.0, 40.0], [30.0, 30.0, 30.0], [5.0, 60.0, 60.0]):
         wanted = np.radians(angles)
-        held = holdable(digit, wanted, floor)
+        held = nearest_holdable_posture(digit, wanted, floor)
         tension = digit.torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ held))
         assert (tension >= floor).all(), angles
     even = np.radians([30.0, 30.0, 30.0])
-    np.testing.assert_array_equal(holdable(digit, even, floor), even)
+    np.testing.assert_array_equal(nearest_holdable_posture(digit, even, floor), even)
     with live(jamia11) as client:
         client.open("joint", ("index_j1", "index_j2", "index_j3"))
         for i in range(300):

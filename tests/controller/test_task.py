@@ -19,7 +19,7 @@ from handctl.programs.task import (
     shapes_of_digits,
     value_for_digit,
 )
-from handctl.programs.task_checks import check_suits
+from handctl.programs.task_checks import check_task_for_hand
 
 GOOD = """schema = 1
 name = "t"
@@ -94,10 +94,10 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
         text = GOOD.replace("angle_deg = 10.0", f"angle_deg = {{ thumb = {angles} }}")
         task = load_task(_written(tmp_path, text.replace("{ index = 20.0 }", f"{{ thumb = {tensions} }}")))
         if not wrong:
-            check_suits(task, hand, "t")
+            check_task_for_hand(task, hand, "t")
             continue
         with pytest.raises(ConfigError, match=wrong):
-            check_suits(task, hand, "t")
+            check_task_for_hand(task, hand, "t")
 
 
 def hand_with_an_extensor() -> Hand:

@@ -4,7 +4,7 @@ import pytest
 
 from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import Frame
-from handctl.drives.mit.progress import DROPPED_OUT, ENABLED_BY_OTHERS, SILENCE_NS, UNKNOWN
+from handctl.drives.mit.progress import DROPPED_OUT, ENABLED_BY_OTHER_HOST, SILENCE_NS, UNKNOWN
 from tests.drives.conftest import PERIOD_NS, MotorRig
 
 DISABLE = b"\xff" * 7 + b"\xfd"
@@ -46,11 +46,11 @@ def test_a_motor_enabled_by_another_host_is_in_fault(rig: MotorRig) -> None:
     rig.until(DriveTarget.POLL, Phase.READY)
     rig.motor.nibble = 1
     state = rig.until(DriveTarget.POLL, Phase.FAULT)
-    assert state.error == ENABLED_BY_OTHERS
+    assert state.error == ENABLED_BY_OTHER_HOST
     assert rig.sent[-1].data == DISABLE
     assert rig.motor.nibble == 0
     for target in (DriveTarget.POLL, DriveTarget.ENABLE, DriveTarget.DISABLE):
-        assert rig.tick(target).error == ENABLED_BY_OTHERS
+        assert rig.tick(target).error == ENABLED_BY_OTHER_HOST
         assert rig.state.phase == Phase.FAULT
 
 

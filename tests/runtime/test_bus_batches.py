@@ -15,7 +15,7 @@ from handctl.drives.records import WORDS, Frames, frames_as_records, join_frames
 from handctl.runtime.buses import canfd
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.buses.socketcan import SLOTS, SocketCanBus
+from handctl.runtime.buses.socketcan import MAX_FRAMES_PER_CALL, SocketCanBus
 from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
 from tests.runtime.datagrams import datagram_bus
 
@@ -47,7 +47,7 @@ BATCHES = {
     **{f"FD of {size}": of_one_kind(size, FDF) for size in LONG_SIZES},
     "one frame": of_one_kind(8, 0)[:1],
     "mixed": mixed(40, 1),
-    "mixed, more than a buffer": mixed(2 * SLOTS + 44, 2),
+    "mixed, more than a buffer": mixed(2 * MAX_FRAMES_PER_CALL + 44, 2),
 }
 
 
@@ -131,7 +131,7 @@ def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
     local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
 ) -> None:
     for batch in [*BATCHES.values(), *reversed(BATCHES.values())]:
-        test_batch = batch[:SLOTS]
+        test_batch = batch[:MAX_FRAMES_PER_CALL]
         for bus, link in (local, udp):
             assert bus.send(frames_as_records(test_batch)) == len(test_batch)
             if bus is local[0]:

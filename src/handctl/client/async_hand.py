@@ -7,12 +7,12 @@ from collections.abc import AsyncIterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from handctl.client.hand import LEASE_S, HandClient, connect
+from handctl.client.hand import DEFAULT_LEASE_S, HandClient, connect
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream, Values
 from handctl.hand.description import Hand
 from handctl.programs.streams import StreamStatus
-from handctl.runtime.confirm import ANSWER_S
+from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S
 
 POLL_OBSERVATION_S = 0.5e-3
 """Pause between two reads of the shared memory [s]. The event loop runs other tasks meanwhile."""
@@ -22,8 +22,9 @@ class AsyncHandClient:
     """Client of one hand for asyncio. Use it with ``async with``.
 
     Every method does the same as the method of ``HandClient`` with this name, and raises the same
-    errors. A thread makes the call, so that other tasks go on. ``observe`` returns at once and is no
-    coroutine. If a waiting task is cancelled, the hand keeps its goal: ``hold`` brings it to rest.
+    errors. A thread makes the call, so that other tasks continue. ``observe`` returns at once and
+    is no coroutine. If a waiting task is cancelled, the hand keeps its goal: ``hold`` brings it to
+    rest.
 
     Attributes:
         client: the client whose methods are called.
@@ -93,7 +94,7 @@ class AsyncHandClient:
         """Return the latest observation, at once."""
         return self.client.observe()
 
-    async def observations(self, timeout_s: float = ANSWER_S) -> AsyncIterator[Observation]:
+    async def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> AsyncIterator[Observation]:
         """Yield the observation of every tick from now on, in order, until the run ends.
 
         Args:
@@ -169,7 +170,7 @@ def connect_async(
     hand: str | os.PathLike[str] | None = None,
     bus: str | Sequence[str] = "local:demo",
     *arguments: str,
-    lease_s: float | None = LEASE_S,
+    lease_s: float | None = DEFAULT_LEASE_S,
     watchdog_s: float | None = None,
 ) -> AsyncHandClient:
     """Return a client for asyncio, as in ``async with handctl.connect_async() as hand``.

@@ -28,7 +28,8 @@ class Fingertips:
     Attributes:
         digits: names of the digits.
         joints: names of the joints of these digits, in order.
-        distances_m: (D,) distance from each tip to its position in the latest posture, NaN before the first.
+        distances_m: (D,) distance from each tip to its position in the latest posture, NaN before
+            the first.
     """
 
     def __init__(self, hand: Hand, digits: Sequence[str] | None = None) -> None:
@@ -39,7 +40,8 @@ class Fingertips:
             digits: names of the digits. None: all digits on the palm.
 
         Raises:
-            ConfigError: no such digit, a name twice, or a digit on another digit, whose tip moves with it.
+            ConfigError: no such digit, a name twice, or a digit on another digit, whose tip moves
+                with it.
         """
         on_palm = [digit.name for digit in hand.digit if digit.mount_on is None]
         self.digits = tuple(on_palm if digits is None else digits)
@@ -65,7 +67,7 @@ class Fingertips:
         """Return joint angles by name, e.g. for ``hand.move`` [deg].
 
         Args:
-            positions: positions of the tips. A mapping may leave digits out, which then have no angles.
+            positions: positions of the tips. Digits that a mapping leaves out get no angles.
 
         Raises:
             ConfigError: a wrong shape, an unknown digit, or a position that is not finite.
@@ -100,10 +102,12 @@ class Fingertips:
 class FingertipStream(TargetStream):
     """Open stream of fingertip positions, see ``TargetStream``. ``HandClient.stream`` opens it.
 
-    The client computes joint angles, and the controller gets a stream of joint angles with its usual limits.
+    The client computes joint angles, and the controller gets a stream of joint angles with its
+    usual limits.
 
     Attributes:
-        fingertips: inverse kinematics, with the distance that is left between each tip and its latest position.
+        fingertips: inverse kinematics, with the distance that is left between each tip and its
+            latest position.
     """
 
     def __init__(

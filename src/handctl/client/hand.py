@@ -1,7 +1,7 @@
 """Client for a running hand: motions, streams, observations.
 
-The controller is a separate process. The client sends the same requests as the command line. The controller checks,
-limits and logs requests of programs and of operators alike.
+The controller is a separate process. The client sends the same requests as the command line. The
+controller checks, limits and logs requests of programs and of operators alike.
 """
 
 import itertools
@@ -39,7 +39,7 @@ from handctl.programs.requests import (
 )
 from handctl.programs.streams import horizon_s
 from handctl.programs.task import Hold
-from handctl.runtime.confirm import ANSWER_S, follow_until_off, is_off, send_confirmed
+from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S, follow_until_off, is_off, send_confirmed
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES, Watcher, is_running
 from handctl.runtime.observations import ObservationReader
 from handctl.runtime.targets import TargetSender, stream_name
@@ -48,12 +48,12 @@ from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 from handctl.session.tasks import find_task
 
-START_S = 300.0
+START_TIMEOUT_S = 300.0
 """Longest time for the start of a controller, including commissioning on a slow machine [s].
 
 A controller that cannot start ends much earlier.
 """
-ATTACH_S = 60.0
+ATTACH_TIMEOUT_S = 60.0
 """Longest time until a controller started by another process accepts goals [s]."""
 POLL_OBSERVATION_S = 50e-6
 """Pause between two reads of the shared memory [s]."""
@@ -61,8 +61,8 @@ POLL_S = 0.2
 """Longest wait for the state before the controller process is checked [s]."""
 SENDER_NAME_BYTES = 64
 """Largest number of bytes that the name of the sender adds to a request."""
-LEASE_S = 2.0
-"""Lease of a client without a choice of its own [s]: longer than a loaded machine delays a thread."""
+DEFAULT_LEASE_S = 2.0
+"""Default lease [s]. It is longer than a loaded machine delays a thread."""
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTTING_DOWN}
 """Modes of the hand in which goals have no effect."""
 RUN_OWNER = "a running handctl run"
@@ -74,7 +74,7 @@ def connect(
     hand: str | os.PathLike[str] | None = None,
     bus: str | Sequence[str] = "local:demo",
     *arguments: str,
-    lease_s: float | None = LEASE_S,
+    lease_s: float | None = DEFAULT_LEASE_S,
     watchdog_s: float | None = None,
 ) -> "HandClient":
     """Return a client of the controller on a bus. If no controller runs there, one is started.
@@ -85,15 +85,17 @@ def connect(
     twice the lease.
 
     Args:
-        hand: packaged hand or hand file of a new controller. Required on a real bus, otherwise ``"jamia"``.
+        hand: packaged hand or hand file of a new controller. Required on a real bus, otherwise
+            ``"jamia"``.
         bus: bus specification as for ``--bus``. For a hand on several buses: all buses, the first
             bus of the hand first.
-        arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus ``"--yes"``
-            confirms that the hand may move.
-        lease_s: lease in the time of the hand [s], 0.2 to 3600. A thread of the client renews it. None: the hand keeps
-            the last goal without a time limit.
-        watchdog_s: longest time between two calls of the client or targets of a stream [s]. Then the lease is not
-            renewed any more, so that a program that hangs loses the hand as well. None: any time.
+        arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus
+            ``"--yes"`` confirms that the hand may move.
+        lease_s: lease in the time of the hand [s], 0.2 to 3600. A thread of the client renews it.
+            None: the hand keeps the last goal without a time limit.
+        watchdog_s: longest time between two calls of the client or targets of a stream [s]. After a
+            longer time the lease is not renewed, so that a program that hangs loses the hand as
+            well. None: any time.
 
     Raises:
         ConfigError: invalid bus, lease or watchdog, or a real bus without a hand.
@@ -148,14 +150,15 @@ class HandClient:
         bus: bus of the controller.
         name: name of this client, shown to other clients when their commands are refused.
         child: controller process, None if another process started it.
-        result: output of ``handctl run --json`` after the end of a run started here, e.g. ``log`` and ``failure``.
+        result: output of ``handctl run --json`` after the end of a run started here, e.g. ``log``
+            and ``failure``.
     """
 
     def __init__(
         self,
         bus: str,
         command: Sequence[str] = (),
-        lease_s: float | None = LEASE_S,
+        lease_s: float | None = DEFAULT_LEASE_S,
         watchdog_s: float | None = None,
     ) -> None:
         """Create the client. `command` starts a controller. Use ``connect`` instead."""
@@ -167,7 +170,7 @@ class HandClient:
         self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
         self._live = self._commands = self._closed = self._error_raised = self._off = False
-        self._lock = threading.RLock()  # a status line belongs to the call that waits for it
+        self._lock = threading.RLock()  # only one call may wait for a status line at a time
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
         self._watcher = Watcher(bus)
@@ -196,7 +199,7 @@ class HandClient:
         """
         with ExitStack() as undo:
             undo.callback(self._end_command, False)
-            self.wait(phase="live", timeout_s=START_S if self.child else ATTACH_S)
+            self.wait(phase="live", timeout_s=START_TIMEOUT_S if self.child else ATTACH_TIMEOUT_S)
             undo.pop_all()
         return self
 
@@ -225,7 +228,8 @@ class HandClient:
 
         Raises:
             ConfigError: the goal was refused, e.g. for an unknown digit. The previous goal stays.
-            DriveError: the run has ended or ends during the motion, e.g. by a fault. The message has the reason.
+            DriveError: the run has ended or ends during the motion, e.g. by a fault. The message
+                has the reason.
             BusError: the controller does not answer.
         """
         angles = _values_by_digit("move", goals, angle_deg)
@@ -236,7 +240,7 @@ class HandClient:
         }
         validate_content(goal, MoveDigits, "move")
         start_s = self._set_goal(goal)
-        while wait and self._wait_until_following(ANSWER_S)["t_s"] < start_s + goal["duration_s"]:
+        while wait and self._wait_until_following(CONFIRMATION_TIMEOUT_S)["t_s"] < start_s + goal["duration_s"]:
             pass
 
     def hold(
@@ -287,18 +291,22 @@ class HandClient:
 
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz], 20 up to the control rate.
-            space: a target has an angle for each ``"joint"``, one for all joints of a ``"digit"``, a ``"tension"`` for
-                each tendon [N], a ``"tip_force"`` for each digit [N], or the position of each
-                ``"fingertip"`` in the palm frame, (D, 3) [m], see ``FingertipStream``.
+            space: a target has an angle for each ``"joint"``, one for all joints of a ``"digit"``,
+                a ``"tension"`` for each tendon [N], a ``"tip_force"`` for each digit [N], or the
+                position of each ``"fingertip"`` in the palm frame, (D, 3) [m], see
+                ``FingertipStream``.
             names: joints, digits or tendons of a target, in order. None: all of the hand.
-            interpolation: motion between angles. ``"linear"`` has a constant speed, ``"minimum_jerk"`` is smooth.
+            interpolation: motion between angles. ``"linear"`` has a constant speed,
+                ``"minimum_jerk"`` is smooth.
             unit: unit of angles.
-            stiffness_N_m_per_rad: impedance control: stiffness of the streamed joints against a push. None: that of
-                the gains, which is also the largest.
-            damping_ratio: damping with a stiffness, as a multiple of the damping ratio of the gains, 0.5 to 2.
+            stiffness_N_m_per_rad: impedance control: stiffness of the streamed joints against a
+                push. None: that of the gains, which is also the largest.
+            damping_ratio: damping with a stiffness, as a multiple of the damping ratio of the
+                gains, 0.5 to 2.
 
         Raises:
-            ConfigError: the stream was refused, e.g. for a name or a rate, or another client commands.
+            ConfigError: the stream was refused, e.g. for a name or a rate, or another client
+                commands.
             DriveError, BusError: see ``move``.
         """
         hand = self.description
@@ -344,7 +352,8 @@ class HandClient:
             timeout_s: longest wait [s].
 
         Raises:
-            ConfigError: the task does not exist or does not suit the hand, or another client commands.
+            ConfigError: the task does not exist or does not suit the hand, or another client
+                commands.
             DriveError: the task has ended without a hold phase, the timeout has passed, or the run
                 has ended.
         """
@@ -406,7 +415,7 @@ class HandClient:
             )
         return self._description
 
-    def observe(self, wait: bool = False, timeout_s: float = ANSWER_S) -> Observation:
+    def observe(self, wait: bool = False, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Observation:
         """Return the observation of the latest tick, from shared memory.
 
         Args:
@@ -427,7 +436,7 @@ class HandClient:
             self._check_silence(reader, end)
             time.sleep(POLL_OBSERVATION_S)
 
-    def observations(self, timeout_s: float = ANSWER_S) -> Iterator[Observation]:
+    def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
         """Yield the observation of every tick from now on, in order, until the run ends.
 
         A program more than a second late misses ticks, and ``k`` jumps.
@@ -523,7 +532,7 @@ class HandClient:
             self._refuse_ended()
             raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
 
-    def state(self, timeout_s: float = ANSWER_S) -> dict[str, Any]:
+    def state(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> dict[str, Any]:
         """Return the present state, at most 20 ms old, as plain values.
 
         ``observe`` is faster and has more.
@@ -532,10 +541,14 @@ class HandClient:
             timeout_s: longest wait [s].
 
         Returns:
-            Lists in the order of the hand file, with None for unknown values: ``q_rad`` by joint [rad]
-            with its standard deviation ``q_sigma_rad`` (large where a digit in contact has fewer tendons than joints),
-            ``tension_N`` and ``tension_goal_N`` by tendon [N], ``tip_force_N`` with ``tip_force_sigma_N``
-            and ``contact`` (bool) by digit [N], ``t_s`` time of the run [s], ``k`` tick, ``late_us`` [us], ``mode``,
+            Lists in the order of the hand file, with None for unknown values: ``q_rad`` by joint
+            [rad]
+            with its standard deviation ``q_sigma_rad`` (large where a digit in contact has fewer
+            tendons than joints),
+            ``tension_N`` and ``tension_goal_N`` by tendon [N], ``tip_force_N`` with
+            ``tip_force_sigma_N``
+            and ``contact`` (bool) by digit [N], ``t_s`` time of the run [s], ``k`` tick,
+            ``late_us`` [us], ``mode``,
             ``phase``, ``events`` of this tick.
 
         Raises:
@@ -603,7 +616,7 @@ class HandClient:
 
     def _set_goal(self, goal: dict[str, Any]) -> float:
         """Send a goal, wait for its confirmation, and return the time of the confirming tick [s]."""
-        self._wait_until_following(ANSWER_S)
+        self._wait_until_following(CONFIRMATION_TIMEOUT_S)
         if self._lease_s is not None:
             goal = {**goal, "lease_s": self._lease_s}
         if (size := len(json.dumps(goal).encode()) + SENDER_NAME_BYTES) > MAX_REQUEST_BYTES:
@@ -630,14 +643,14 @@ class HandClient:
             if self._lease_s is None or self._heartbeat is not None or self._closed:
                 return
             time_scale = 1.0
-            with suppress(BusError, DriveError):  # the run may end now
+            with suppress(BusError, DriveError):  # the run may have ended
                 time_scale = self._open_reader().description["time_scale"]
             self._heartbeat = Heartbeat(
                 self.bus, self.name, self._lease_s / BEATS_PER_LEASE / time_scale, self._watchdog_s
             )
 
     def _note_call(self) -> None:
-        """Note a call of the program, for the watchdog."""
+        """Store the time of a call of the program, for the watchdog."""
         if self._heartbeat is not None:
             self._heartbeat.note_call()
 

@@ -8,14 +8,14 @@ from handctl.programs.requests import alive_text
 from handctl.runtime.mailbox import RequestSender
 
 BEATS_PER_LEASE = 4
-"""Signs of life in the time of a lease. Three of them may be late or lost."""
+"""Number of signs of life in the time of a lease. Three consecutive ones may be late or lost."""
 
 
 class Heartbeat:
     """Thread that renews the lease of a client.
 
-    With a watchdog, the thread sends only if the program has used the client recently. A program
-    that hangs, but whose threads go on, then loses its lease as well.
+    With a watchdog, the thread sends only if the program has used the client recently. So a program
+    that hangs while its threads continue loses its lease as well.
     """
 
     def __init__(self, bus: str, client: str, period_s: float, watchdog_s: float | None) -> None:
@@ -37,7 +37,7 @@ class Heartbeat:
         self._thread.start()
 
     def note_call(self) -> None:
-        """Note that the program has used the client now."""
+        """Store that the program has used the client now."""
         self._used_s = time.monotonic()
 
     def end(self) -> None:
@@ -50,4 +50,4 @@ class Heartbeat:
         with closing(RequestSender(self._bus)) as sender, suppress(OSError):
             while not self._ended.wait(self._period_s):
                 if self._watchdog_s is None or time.monotonic() - self._used_s <= self._watchdog_s:
-                    sender.send(self._data)  # a full mailbox refuses it: the next message renews the lease
+                    sender.send(self._data)  # if the mailbox is full, the next message renews the lease

@@ -8,7 +8,7 @@ from handctl.controller import retune
 from handctl.controller.client_lease import begin_lease, renew_lease
 from handctl.controller.modes import OperatorRequests
 from handctl.controller.state import State
-from handctl.controller.streams import apply_target, close_stream, open_stream, reference_of, stay
+from handctl.controller.streams import apply_target, bring_to_rest, close_stream, open_stream, reference_of
 from handctl.core import block as s
 from handctl.core.model import HandModel
 from handctl.core.types import SHUTTING_DOWN, Event, Mode
@@ -124,7 +124,7 @@ def _apply_command(model: HandModel, program: Program, state: State, request: Co
     stream = state.decisions.stream
     if not isinstance(request, CloseStream):
         close_stream(model, state)
-        state.decide(progress=stay(model, state))
+        state.decide(progress=bring_to_rest(model, state))
     elif stream is not None and stream.name == request.stream:
         close_stream(model, state)
     if isinstance(request, Leave):

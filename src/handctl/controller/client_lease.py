@@ -8,7 +8,7 @@ targets enter the tick as requests, so that a log is re-executed with the same l
 from dataclasses import replace
 
 from handctl.controller.state import Lease, State
-from handctl.controller.streams import close_stream, stay
+from handctl.controller.streams import bring_to_rest, close_stream
 from handctl.core import block as s
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Mode
@@ -70,7 +70,7 @@ def expire_lease(model: HandModel, state: State) -> tuple[Event, ...]:
     if silence_ns > lease.duration_ns and not lease.resting:
         if state.progress.task is None:
             close_stream(model, state)
-            state.decide(progress=stay(model, state))
+            state.decide(progress=bring_to_rest(model, state))
         state.decide(lease=lease._replace(resting=True))
         return (Event("warn", "lease", "", f"{text}: moving digits come to rest"),)
     return ()

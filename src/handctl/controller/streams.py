@@ -17,21 +17,21 @@ from handctl.programs.streams import (
     StreamPlan,
     StreamStatus,
     digits_of,
-    holdable,
     is_plausible,
     loop_fractions,
-    mapping,
-    opened,
-    staying,
+    mapping_of_stream,
+    nearest_holdable_posture,
+    plan_of_request,
+    progress_at_rest,
     streamed_goals,
     tensions_of,
 )
 
-OLDEST_S = 0.1
+MAX_TARGET_AGE_S = 0.1
 """Age beyond which a target is ignored [s], because later targets replace it."""
-STEADY_PERIODS = 2.5
+MAX_TARGET_GAP_PERIODS = 2.5
 """Longest time between two targets from which a speed is computed [periods of the stream]."""
-LEAD_N = 6.0
+MAX_SETPOINT_LEAD_N = 6.0
 """Largest distance of a streamed setpoint above the estimated tension [N].
 
 The tendon of a free digit bears no more than the digit's springs and friction. A setpoint far above
@@ -55,7 +55,7 @@ def setpoints_of(model: HandModel, state: State) -> tuple[Vector, ...]:
 
 def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
     """Open a stream. The streamed digits keep their present reference until the first target."""
-    stream = opened(model, request)
+    stream = plan_of_request(model, request)
     if isinstance(stream, str):
         return Event("info", "request", "", f"refused: {stream}")
     close_stream(model, state)
@@ -100,16 +100,16 @@ def close_stream(model: HandModel, state: State) -> None:
     """Close the open stream, if any. The streamed digits come to rest."""
     if state.decisions.stream is None:
         return
-    state.decide(stream=None, progress=stay(model, state, only_streamed=True))
+    state.decide(stream=None, progress=bring_to_rest(model, state, only_streamed=True))
     state.set_whole(s.STREAMING, 0)
     state.tendon[[s.STIFFNESS_FRACTION, s.DAMPING_FRACTION]] = 1.0
 
 
-def stay(model: HandModel, state: State, only_streamed: bool = False) -> Progress:
+def bring_to_rest(model: HandModel, state: State, only_streamed: bool = False) -> Progress:
     """Return the program's progress with new goals that bring moving digits to rest."""
     reach = tuple(digit.reach for digit in model.digits)
     setpoints = setpoints_of(model, state)
-    return staying(
+    return progress_at_rest(
         state.progress, reference_of(model, state), setpoints, state.goal_time, reach, only_streamed
     )
 
@@ -145,7 +145,7 @@ def apply_target(
     running = state.whole(s.STREAMING) == RUNNING
     # Several targets of one tick may have the time of the tick.
     overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns < state.whole(s.STREAM_SENT_NS)
-    if (running and overtaken) or t_ns - sent_ns > 1e9 * OLDEST_S:
+    if (running and overtaken) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
         return _count_target(
             state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old"
         )
@@ -179,8 +179,8 @@ def _begin_ramp(
     setpoint = state.tendon[s.SETPOINT]
     aim = tensions_of(model, stream, values, setpoint, state.estimate.q)
     inside = np.clip(aim, model.floor, model.ceiling)
-    reached = np.minimum(inside, np.maximum(state.tendon[s.TENSION], model.floor) + LEAD_N)
-    reached = np.maximum(np.minimum(reached, model.ceiling - LEAD_N), model.floor)
+    reached = np.minimum(inside, np.maximum(state.tendon[s.TENSION], model.floor) + MAX_SETPOINT_LEAD_N)
+    reached = np.maximum(np.minimum(reached, model.ceiling - MAX_SETPOINT_LEAD_N), model.floor)
     step = model.hand.stream.tension_rate_N_per_s * model.period
     ticks = max((sent_ns - t_ns) / 1e9 + stream.horizon, model.period) / model.period
     for d in digits_of(model, stream):
@@ -209,7 +209,7 @@ def _begin_segment(
         t_ns: time of the tick [ns].
     """
     rows = state.layout.table(state.block, "coordinate")
-    where = mapping(model, stream.space, stream.names)
+    where = mapping_of_stream(model, stream.space, stream.names)
     aim = np.where(where.driven, where.matrix @ values, rows[s.STREAM_TARGET])
     held = aim
     if where.held:
@@ -217,12 +217,12 @@ def _begin_segment(
         for d in where.held:
             digit = model.digits[d]
             places = model.digit_coordinates[d]
-            held[places] = holdable(digit, held[places], model.floor[digit.tendons])
+            held[places] = nearest_holdable_posture(digit, held[places], model.floor[digit.tendons])
     # The segment starts at the reference of the last tick, so this tick already moves.
     since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
-    steady = state.whole(s.STREAMING) == RUNNING and apart <= STEADY_PERIODS * stream.period
+    steady = state.whole(s.STREAMING) == RUNNING and apart <= MAX_TARGET_GAP_PERIODS * stream.period
     # Two targets that come together do not show the speed of the stream.
     apart = max(apart, 0.5 * stream.period) if steady else math.inf
     return begin_segments(

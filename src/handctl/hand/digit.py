@@ -16,13 +16,13 @@ from handctl.hand.moment_arms import arms_at, excursions_at
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array
 """A sequence with one number per joint. Lists and tuples are the fastest."""
-SIDEWAYS_DEG = 45.0
+SIDEWAYS_ANGLE_DEG = 45.0
 """Angle between the axes of a joint and of the last joint above which the joint moves the digit sideways [deg]."""
 NEWTON_STEPS = 20
 """Largest number of Newton steps from an excursion to joint angles. About five are usual."""
 NEWTON_TOLERANCE_RAD = 1e-10
 """Newton step below which the iteration ends [rad]."""
-SIDEWAYS_RANGE = 0.5
+SIDEWAYS_RANGE_RATIO = 0.5
 """Ratio of opening to closing range from which a coordinate counts as sideways motion, if all axes are parallel."""
 
 
@@ -128,12 +128,12 @@ class DigitModel:
             step = self.table[body.FIXED : body.FIXED + 9, i] + self.table[body.COSINE : body.COSINE + 9, i]
             turned = turned @ step.reshape(3, 3)
             axes.append(turned @ self.axes[i])
-        away = np.abs(np.array(axes) @ axes[-1]) < math.cos(math.radians(SIDEWAYS_DEG))
+        away = np.abs(np.array(axes) @ axes[-1]) < math.cos(math.radians(SIDEWAYS_ANGLE_DEG))
         if away.any():
             # A coordinate that moves any other joint flexes the digit.
             return np.asarray(~(self.coupling[~away] != 0.0).any(axis=0))
         low, high = self.reach
-        return np.asarray(-low > SIDEWAYS_RANGE * high)
+        return np.asarray(-low > SIDEWAYS_RANGE_RATIO * high)
 
     @staticmethod
     def of(hand: Hand, name: str) -> "DigitModel":

@@ -15,7 +15,7 @@ REACH_TOLERANCE = 1e-12
 """Relative amount by which the squared distance may exceed the reach, for rounding."""
 MAX_STEPS = 60
 """Largest number of steps in the search for the closest tip position."""
-CONVERGED = 1e-10
+MIN_STEP_RAD = 1e-10
 """Step of a coordinate at which the search ends [rad]."""
 START_WEIGHT_M_PER_RAD = 1e-5
 """Weight of the distance to the start [m/rad]. It selects the nearest of all postures with an equal tip position."""
@@ -203,6 +203,6 @@ def _local_minimum(digit: DigitModel, target: Array, start: Array) -> ClosestTip
             damping *= 10.0
         step = float(np.abs(moved - theta).max())
         theta = moved
-        if step < CONVERGED:
+        if step < MIN_STEP_RAD:
             break
     return ClosestTip(theta, float(np.linalg.norm(gap)))

@@ -16,11 +16,11 @@ from handctl.hand.file.sections import Bus, Digit
 from handctl.hand.moment_arms import arms_at, table_of, table_residual
 
 Vector = NDArray[np.float64]
-FASTEST_ARBITRATION = 1_000_000
+MAX_ARBITRATION_BITRATE = 1_000_000
 """Largest bit rate of classical CAN and of the arbitration phase of CAN FD [bit/s]. Source: ISO 11898-2."""
 MAX_TORQUE_RESIDUAL = 1e-6
 """Largest residual of a torque that counts as 0, as a fraction of the largest moment arm at 1 N."""
-POSTURES = 11
+CHECKED_POSTURES = 11
 """Number of postures at which a digit with moment arms that depend on the angle is checked."""
 SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
@@ -38,8 +38,8 @@ def reasons_not_ready(hand: Hand) -> Iterator[Mistake]:
 def _check_rates(bus: Bus) -> Iterator[Mistake]:
     """Check that controllers can have the bit rates of a bus."""
     where = f"bus[{bus.name}]"
-    if bus.bitrate > FASTEST_ARBITRATION:
-        right = f"at most {FASTEST_ARBITRATION}; the faster data phase of CAN FD is data_bitrate"
+    if bus.bitrate > MAX_ARBITRATION_BITRATE:
+        right = f"at most {MAX_ARBITRATION_BITRATE}; the faster data phase of CAN FD is data_bitrate"
         yield Mistake(f"{bus.bitrate}", f"{where}.bitrate", right)
     elif bus.data_bitrate is not None and bus.data_bitrate < bus.bitrate:
         yield Mistake(f"{bus.data_bitrate}", f"{where}.data_bitrate", f"at least bitrate = {bus.bitrate}")
@@ -80,7 +80,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     if hand.has_varying_arm[tendons].any():
         limits = hand.joint_limits[:, hand.digit_joints[digit.name]]
         polynomials = hand.arm_polynomials[tendons, hand.digit_joints[digit.name]]
-        postures = list(arms_at(polynomials, limits, np.linspace(limits[0], limits[1], POSTURES)) @ coupling)
+        postures = list(arms_at(polynomials, limits, np.linspace(limits[0], limits[1], CHECKED_POSTURES)) @ coupling)
     arms = postures[0]  # these are the tensions and torques of the open digit
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
     stiffness = np.array(digit.spring_stiffness_N_m_per_rad)

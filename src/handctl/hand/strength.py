@@ -15,7 +15,7 @@ from handctl.hand.moment_arms import arms_at
 
 STRENGTH_MARGIN = 1.5
 """Required ratio of ``rated_breaking_force_N`` to the peak tension if the drive runs away."""
-POSTURES = 11
+CHECKED_POSTURES = 11
 """Number of postures among which the largest moment arms are searched."""
 RUNAWAY_OVERSHOOT = 2.0
 """Ratio of peak tension to constant force, for a rotor at rest against a slack, elastic tendon without damping."""
@@ -77,7 +77,7 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
     limits = hand.joint_limits[:, joints]
     arms = hand.moment_arms[tendons, joints]
     if hand.has_varying_arm[tendons].any():
-        postures = np.linspace(limits[0], limits[1], POSTURES)
+        postures = np.linspace(limits[0], limits[1], CHECKED_POSTURES)
         arms = np.abs(arms_at(hand.arm_polynomials[tendons, joints], limits, postures)).max(axis=0)
     torques = np.abs(arms).T @ peaks
     yield from zip(described.joints, torques.tolist(), described.joint_rated_torque_N_m, strict=True)

@@ -10,7 +10,7 @@ from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.file.error_text import shortened_list
-from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_PER_DIGIT, SMALLEST_OBJECT_MM
+from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_DIAMETER_RATIO, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.kinematics import link_rotations
 from handctl.hand.load import parse_toml
@@ -26,7 +26,7 @@ HOLD_FRACTION = 0.3
 """Tension of a hold divided by ``tension_max_N``, if equal numbers of digits close from both sides."""
 LARGEST_HOLD = 0.7
 """Largest tension of a hold divided by ``tension_max_N``."""
-SMALLEST_SHARE = 0.1
+MIN_BALANCE_FACTOR = 0.1
 """Smallest factor of a digit for a balance of forces.
 
 If a factor would be smaller, the forces of the hand are not balanced.
@@ -51,7 +51,7 @@ PALM_GAP_M = 0.002
 """Gap between the palm and the object of the scene [m]. Source: ``firmware_sim/scenes/cylinder.toml``."""
 OBJECT_HALF_LENGTH_M = 0.0465
 """Half length of the object along the hinges [m]. Source: as above."""
-SAMPLES = 9
+LINK_SAMPLES = 9
 """Points along a link for the distance to the object."""
 
 
@@ -63,7 +63,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
     """
     largest = min(tendon.tension_max_N for tendon in hand.tendon)
     floor = max(tendon.tension_floor_N for tendon in hand.tendon)
-    opened = {name: np.zeros_like(_closed_deg(hand, name)).tolist() for name in hand.digit_names}
+    opened = {name: np.zeros_like(_closed_angles_deg(hand, name)).tolist() for name in hand.digit_names}
     # A digit that carries others, such as a wrist, keeps its angle.
     closing = [name for name in hand.digit_names if name not in hand.carriers]
     content: dict[str, Any] = {
@@ -75,14 +75,16 @@ def default_task(hand: Hand) -> tuple[Task, str]:
             {
                 "kind": "close",
                 "name": "close",
-                "angle_deg": {name: _closed_deg(hand, name).tolist() for name in closing},
+                "angle_deg": {name: _closed_angles_deg(hand, name).tolist() for name in closing},
                 "speed_deg_s": 50.0,
                 "contact_tension_N": round(max(CONTACT_FRACTION * largest, floor + 1.0), 1),
             },
             {
                 "kind": "hold",
                 "name": "hold",
-                "tension_N": {name: _hold_tensions(hand, name, share) for name, share in _shares(hand).items()},
+                "tension_N": {
+                    name: _hold_tensions(hand, name, share) for name, share in _tension_factors(hand).items()
+                },
                 "rate_N_per_s": 40.0,
                 "duration_s": 5.0,
             },
@@ -94,7 +96,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
     return validate_content(parse_toml(text, "default task"), Task, "default task"), text
 
 
-def _closed_deg(hand: Hand, name: str) -> np.ndarray:
+def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
     """Return the angle of each coordinate of a closed digit (n_c,) [deg]."""
     _, high = coordinate_range_deg(hand.digit_named(name))
     sideways = DigitModel.of(hand, name).sideways
@@ -102,7 +104,7 @@ def _closed_deg(hand: Hand, name: str) -> np.ndarray:
     return np.asarray(np.round(closed, 1))
 
 
-def _shares(hand: Hand) -> dict[str, float]:
+def _tension_factors(hand: Hand) -> dict[str, float]:
     """Return the factor of each digit's tension in a hold, 1 on average.
 
     With these factors the forces on an object are in balance. Otherwise, for example, two fingers
@@ -125,7 +127,7 @@ def _balance(hand: Hand) -> dict[str, float] | None:
     directions = _directions(hand)
     rows = np.array(list(directions.values()))
     factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
-    if factors.min() < SMALLEST_SHARE:
+    if factors.min() < MIN_BALANCE_FACTOR:
         return None
     return dict(zip(directions, (factors / factors.mean()).tolist(), strict=True))
 
@@ -169,7 +171,7 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
 def _pressing_tension(hand: Hand, name: str) -> float:
     """Return the tension of closing tendons for PRESS_N at the tip of a half-closed digit [N]."""
     digit = DigitModel.of(hand, name)
-    half = np.radians(_closed_deg(hand, name)) / 2
+    half = np.radians(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half
     springs = digit.coupling.T @ (np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload)))
     torque = springs + PRESS_N * reduced_tip_lever(digit, q)
@@ -214,7 +216,7 @@ def default_scene(hand: Hand) -> str:
     shape = SCENE if parallel else BALL
     longest = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
     free = 1e3 * _largest_object(hand, ball=shape == BALL)
-    diameter = max(SMALLEST_OBJECT_MM, min(OBJECT_PER_DIGIT * longest, free - CLEARANCE_MM))
+    diameter = max(SMALLEST_OBJECT_MM, min(OBJECT_DIAMETER_RATIO * longest, free - CLEARANCE_MM))
     if diameter > free:
         diameter = free - CLEARANCE_MM
     return SCENE if (shape, round(diameter)) == (SCENE, SMALLEST_OBJECT_MM) else f"{shape}:{max(diameter, 1.0):.0f}"
@@ -225,7 +227,7 @@ def _largest_object(hand: Hand, ball: bool) -> float:
     tree = HandTree.of(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0
-    along = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    along = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
     for digit, points in zip(tree.digits, tree.points(q), strict=True):
         for start, end in pairwise(points):
             x, y, z = (start + along * (end - start)).T

@@ -12,18 +12,18 @@ from handctl.programs.program import Progress, ProgressAndEvents, motion_to, pul
 
 REST_S = 0.15
 """Time at the end of every move, in which the digit may still oscillate [s]."""
-HOME_RAD = math.radians(5.0)
+HOME_ANGLE_RAD = math.radians(5.0)
 """Angle between the open stop and the first position of a move [rad].
 
 At the stop the error of a digit would be too small.
 """
-GENTLE_N = 7.0
+GENTLE_CLOSE_N = 7.0
 """Net tension with which spool pairs close their digits [N].
 
 A digit of spool pairs without load cells that closes freely looks like a torn tendon from 8 N on:
 its spool winds fast, and the estimated tension is small (T01).
 """
-GENTLE_S = 2.0
+GENTLE_CLOSE_S = 2.0
 """Time in which spool pairs close their digits [s]."""
 
 
@@ -54,17 +54,19 @@ def stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseSta
         amplitude: fraction of the full angles and tensions.
         fastest_s: duration of the fastest move [s].
     """
-    target = HOME_RAD + amplitude * math.radians(30.0)
+    target = HOME_ANGLE_RAD + amplitude * math.radians(30.0)
     hold = 30.0 + 25.0 * amplitude
     moves = [
-        ExerciseStage("move", duration + REST_S, angle) for duration in (0.6, fastest_s) for angle in (target, HOME_RAD)
+        ExerciseStage("move", duration + REST_S, angle)
+        for duration in (0.6, fastest_s)
+        for angle in (target, HOME_ANGLE_RAD)
     ]
     holds = [
         ExerciseStage("close", 0.8, tension=30.0),
         ExerciseStage("hold", 0.5, tension=hold),
         ExerciseStage("hold", 0.5, tension=30.0),
     ]
-    return (ExerciseStage("settle", 0.6, HOME_RAD), *moves, *holds)
+    return (ExerciseStage("settle", 0.6, HOME_ANGLE_RAD), *moves, *holds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,7 @@ class Exercise:
         """Return all stages for a hand. Spool pairs first close gently."""
         if not model.is_pair.any():
             return self.stages
-        gentle = ExerciseStage("close", GENTLE_S, tension=GENTLE_N)
+        gentle = ExerciseStage("close", GENTLE_CLOSE_S, tension=GENTLE_CLOSE_N)
         return tuple(part for stage in self.stages for part in ((gentle, stage) if stage.name == "close" else (stage,)))
 
     def initial(self, model: HandModel) -> Progress:

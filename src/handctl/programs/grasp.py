@@ -58,7 +58,7 @@ joints that touch nothing. They detect a contact long before 1 N.
 """
 ARRIVAL_S = 0.15
 """Time after the end of a trajectory at which a digit counts as arrived [s]."""
-ARRIVAL_FACTOR = 2.0
+ARRIVED_THRESHOLD_FACTOR = 2.0
 """Factor on the contact threshold of a digit that has arrived.
 
 A digit at rest touches no new object, and creeping friction can resemble a contact.
@@ -437,4 +437,4 @@ def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) 
     is_moving = (
         goal.trajectory is not None and t - goal.since < goal.trajectory.duration + ARRIVAL_S
     )
-    return threshold if is_moving else ARRIVAL_FACTOR * threshold
+    return threshold if is_moving else ARRIVED_THRESHOLD_FACTOR * threshold

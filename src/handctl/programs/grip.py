@@ -25,11 +25,11 @@ Six standard deviations of the excursion in a quiet hold (3.5 um). It is about 0
 """
 NO_DETECTION_S = 0.4
 """Time without slip detection after the grip's own tension changed [s]. Fingers conform then."""
-ANSWER_PAUSE_S = 0.1
+RAISE_PAUSE_S = 0.1
 """Shortest time between two rises of the tension [s]."""
-ANSWER_FACTOR = 1.2
+RAISE_FACTOR = 1.2
 """Factor by which slip raises every tension of the grip."""
-RATE_N_PER_S = 300.0
+RAISE_RATE_N_PER_S = 300.0
 """Rate at which slip raises the tensions [N/s]. Slip is faster than the closing of a grasp."""
 
 
@@ -116,13 +116,13 @@ def advance_grip(
         # A tendon that opens its digit pays out while the digit closes.
         opening = np.where(np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening)
         if opening.max() > SLIP_EXCURSION_M:
-            grip, events = _answer_slip(model, grip, plan, opening, t)
+            grip, events = _raise_after_slip(model, grip, plan, opening, t)
     if not (judged or settled) or not (events or plan.stiffness):
         return grip, goals, events
     return grip, _held_goals(model, grip, plan, goals, grip_excursions(model, estimate)), events
 
 
-def _answer_slip(
+def _raise_after_slip(
     model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: float
 ) -> tuple[Grip, tuple[Event, ...]]:
     """Raise the tensions after slip, as far as the task allows."""
@@ -132,7 +132,7 @@ def _answer_slip(
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True)
         if tendons.start <= worst < tendons.stop
     )
-    grip = grip._replace(ready=t + ANSWER_PAUSE_S)
+    grip = grip._replace(ready=t + RAISE_PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
     # The factor is that of the tendon which is farthest below its limit. All tendons are raised by
     # this factor.
@@ -140,7 +140,7 @@ def _answer_slip(
     room = plan.limit[closing] / grip.tension[closing]
     max_factor = float(np.nanmax(np.append(room, 1.0)))
     if grip.raised < max_factor:
-        grip = grip._replace(raised=min(grip.raised * ANSWER_FACTOR, max_factor))
+        grip = grip._replace(raised=min(grip.raised * RAISE_FACTOR, max_factor))
         return grip, (Event("warn", "slip", digit, f"{moved}: force x {grip.raised:.2f}"),)
     refused = Event("warn", "slip", digit, f"{moved}; the task allows no more force")
     return grip._replace(limited=True), () if grip.limited else (refused,)
@@ -160,6 +160,6 @@ def _held_goals(
         limit if plan.stiffness == 0.0 else model.ceiling,
     )
     return tuple(
-        goal if np.isnan(target[tendons]).any() else replace(goal, tension=target[tendons], rate=RATE_N_PER_S)
+        goal if np.isnan(target[tendons]).any() else replace(goal, tension=target[tendons], rate=RAISE_RATE_N_PER_S)
         for goal, tendons in zip(goals, model.digit_tendons, strict=True)
     )

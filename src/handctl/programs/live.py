@@ -24,7 +24,7 @@ from handctl.programs.program import (
     tightening_goals,
 )
 from handctl.programs.requests import HoldTension, MoveDigits
-from handctl.programs.streams import continued
+from handctl.programs.streams import continued_move
 from handctl.programs.task import (
     FOLLOW_SPEED_DEG_S,
     Hold,
@@ -34,9 +34,9 @@ from handctl.programs.task import (
     joint_values,
 )
 from handctl.programs.task_checks import (
-    COUPLED_DEG,
+    COUPLING_TOLERANCE_DEG,
     ROUNDING_DEG,
-    check_suits,
+    check_task_for_hand,
 )
 
 
@@ -112,7 +112,7 @@ def begin_task(
     nothing.
     """
     try:
-        check_suits(task, model.hand, "task", model.digits)
+        check_task_for_hand(task, model.hand, "task", model.digits)
     except ConfigError as error:
         return progress, (Event("warn", "request", "", f"refused: {error}"),)
     first = task.phase[0]
@@ -282,7 +282,7 @@ def _end_of_move(
         )
     )
     end = digit.with_joint_angles(given, now)
-    if np.abs((digit.coupling @ end)[list(given)] - list(given.values())).max() > COUPLED_DEG:
+    if np.abs((digit.coupling @ end)[list(given)] - list(given.values())).max() > COUPLING_TOLERANCE_DEG:
         return f"{', '.join(joints[j] for j in given)} are coupled, expected {name}, one angle for all of them"
     return end
 
@@ -299,7 +299,7 @@ def _move(
     """Return a move of a digit, from its present reference (3, n), or from the estimate if that is None."""
     if start is None:
         return motion_to(model.digits[d], estimate, end, duration, t)
-    return DigitGoal(Kind.MOTION, continued(start, end, duration, model.digits[d].reach), since=t)
+    return DigitGoal(Kind.MOTION, continued_move(start, end, duration, model.digits[d].reach), since=t)
 
 
 def _out_of_reach(

@@ -18,16 +18,16 @@ from handctl.hand.dynamics import static_torque
 from handctl.programs.program import Progress
 from handctl.programs.requests import OpenStream
 
-SPARE_TICKS = 2
+MOTION_MARGIN_TICKS = 2
 """Number of control periods by which a motion to a target is prolonged.
 
 A target that is late by less than this time causes no stop.
 """
-STAY_S = 0.15
+STOP_DURATION_S = 0.15
 """Duration of the motion to a stop [s]."""
-HELD_PERIODS = 2
+MIN_HOLD_PERIODS = 2
 """Smallest number of stream periods without a target before the hand holds. One target may be lost."""
-OUTLIERS = {"joint": 720.0, "digit": 720.0, "tension": 5000.0, "tip_force": 500.0}
+MAX_TARGET_VALUES_BY_SPACE = {"joint": 720.0, "digit": 720.0, "tension": 5000.0, "tip_force": 500.0}
 """Largest value that counts as a target, by space [deg, N].
 
 A larger value is a mistake of the client, and is refused.
@@ -100,17 +100,17 @@ def horizon_s(rate_Hz: float, period: float) -> float:
         rate_Hz: rate of the stream [Hz].
         period: control period [s].
     """
-    return 1.0 / rate_Hz + SPARE_TICKS * period
+    return 1.0 / rate_Hz + MOTION_MARGIN_TICKS * period
 
 
-class Mapping(NamedTuple):
+class TargetMapping(NamedTuple):
     """Linear map from the values of a target to the coordinates of the digits.
 
     Attributes:
         matrix: (C, V) coordinates [rad] per value [deg].
         driven: (C,) True where the stream sets the coordinate.
         digits: indices of the digits with a coordinate that the stream sets.
-        held: indices of those digits whose tendons cannot hold every posture, see ``holdable``.
+        held: indices of those digits whose tendons cannot hold every posture, see ``nearest_holdable_posture``.
     """
 
     matrix: Vector
@@ -120,7 +120,7 @@ class Mapping(NamedTuple):
 
 
 @functools.lru_cache(maxsize=16)
-def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
+def mapping_of_stream(model: HandModel, space: str, names: tuple[str, ...]) -> TargetMapping:
     """Return the map from the values of a stream to coordinates."""
     hand = model.hand
     values = np.zeros((model.coordinate_count, len(names)))
@@ -143,10 +143,10 @@ def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
             digits.append(d)
     driven = np.abs(values).max(axis=1) > 1e-12
     held = tuple([d for d in digits if _is_held_by_each_tendon(model.digits[d])])
-    return Mapping(np.radians(values), driven, tuple(digits), held)
+    return TargetMapping(np.radians(values), driven, tuple(digits), held)
 
 
-def unsuitable(model: HandModel, request: OpenStream) -> str:
+def stream_problem(model: HandModel, request: OpenStream) -> str:
     """Return the reason why the hand cannot follow a stream, empty if it can."""
     hand = model.hand
     right = {"joint": hand.joints, "tension": hand.tendon_names}.get(
@@ -168,11 +168,11 @@ def unsuitable(model: HandModel, request: OpenStream) -> str:
     return ""
 
 
-def opened(model: HandModel, request: OpenStream) -> StreamPlan | str:
+def plan_of_request(model: HandModel, request: OpenStream) -> StreamPlan | str:
     """Return the stream of a request, or the reason to refuse it."""
-    if reason := unsuitable(model, request):
+    if reason := stream_problem(model, request):
         return reason
-    slowest = HELD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
+    slowest = MIN_HOLD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
     fastest = 1.0 / model.period
     if not slowest <= request.rate_Hz <= fastest:
         limits = "stream.hold_after_ms of the hand file, and the control rate"
@@ -185,14 +185,14 @@ def opened(model: HandModel, request: OpenStream) -> StreamPlan | str:
 
 FLOOR_MARGIN_N = 0.5
 """Margin of the tensions above the floor in a posture that counts as holdable [N]."""
-HELD_STEPS = 4
+HOLDABLE_NEWTON_STEPS = 4
 """Steps of Newton's method towards a holdable posture.
 
 Because of gravity, which the slope does not include, more than one step may be necessary.
 """
 
 
-def holdable(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
+def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
     """Return the nearest coordinates that taut tendons can hold against springs and gravity [rad].
 
     A tendon that flexes the outer joints flexes the inner ones, too. Bending the outer joints alone
@@ -206,7 +206,7 @@ def holdable(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
     if not _is_held_by_each_tendon(digit):
         return coordinates
     angles = coordinates.copy()
-    for _ in range(HELD_STEPS):
+    for _ in range(HOLDABLE_NEWTON_STEPS):
         to_tension = digit.at(digit.coupling @ angles).torque_to_tension
         slope = to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
@@ -227,7 +227,7 @@ def _is_held_by_each_tendon(digit: DigitModel) -> bool:
 def digits_of(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
     """Return the indices of the digits that a stream commands."""
     if stream.moves:
-        return mapping(model, stream.space, stream.names).digits
+        return mapping_of_stream(model, stream.space, stream.names).digits
     hand = model.hand
     if stream.space == "tip_force":
         return tuple(sorted(hand.digit_names.index(name) for name in stream.names))
@@ -317,7 +317,7 @@ It has no effect, because the targets contain the setpoints.
 """
 
 
-def staying(
+def progress_at_rest(
     progress: Progress,
     reference: tuple[Vector, ...],
     tension: tuple[Vector, ...],
@@ -343,9 +343,9 @@ def staying(
             isinstance(goal.trajectory, Streamed) or not only_streamed
         ):
             position, rate, _ = reference[d]
-            end = np.clip(position + 0.5 * STAY_S * rate, *reach[d])
+            end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *reach[d])
             goals[d] = DigitGoal(
-                Kind.MOTION, continued(reference[d], end, STAY_S, reach[d]), since=t
+                Kind.MOTION, continued_move(reference[d], end, STOP_DURATION_S, reach[d]), since=t
             )
     return replace(progress, goals=tuple(goals))
 
@@ -356,7 +356,7 @@ _SHARES = np.linspace(0.0, 1.0, 33)[1:]
 """Instants at which the positions of a move are checked, as fractions of its duration."""
 
 
-def continued(
+def continued_move(
     reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]
 ) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference, at rest at the end.
@@ -387,5 +387,5 @@ def continued(
 
 def is_plausible(stream: StreamPlan, values: tuple[float, ...]) -> bool:
     """Return True if a target has the right number of finite values within a plausible range."""
-    outlier = OUTLIERS[stream.space]
+    outlier = MAX_TARGET_VALUES_BY_SPACE[stream.space]
     return len(values) == len(stream.names) and all(abs(value) <= outlier for value in values)

@@ -31,7 +31,7 @@ Span = tuple[Vector, Vector]
 """Lowest and highest value of the coordinates of a digit [deg]."""
 
 
-def check_suits(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel] = ()) -> None:
+def check_task_for_hand(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel] = ()) -> None:
     """Check that a hand can execute a task.
 
     Args:
@@ -100,7 +100,7 @@ def _coordinates_after(phase: Phase, digit: DigitModel, now: Vector) -> Vector |
     return None if given is None else np.broadcast_to(np.array(given, dtype=float), now.shape)
 
 
-COUPLED_DEG = 0.5
+COUPLING_TOLERANCE_DEG = 0.5
 """Largest difference of an angle from the coupled joints of its digit [deg]."""
 
 
@@ -150,7 +150,7 @@ def _check_joints(phase: Move | Close | Follow, digit: DigitModel, described: Di
             if not low[j] - ROUNDING_DEG <= angle <= high[j] + ROUNDING_DEG:
                 raise ConfigError(f"{angle:g} deg for {digit.joint_names[j]}", place, f"{low[j]:g} to {high[j]:g} deg")
         end = digit.with_joint_angles(dict(zip(given, row.tolist(), strict=True)), np.zeros(digit.coupling.shape[1]))
-        if np.abs((digit.coupling @ end)[list(given)] - row).max() > COUPLED_DEG:
+        if np.abs((digit.coupling @ end)[list(given)] - row).max() > COUPLING_TOLERANCE_DEG:
             names = ", ".join(digit.joint_names[j] for j in given)
             raise ConfigError(f"{names} are coupled", place, f"{digit.name}, one angle for all of them")
 

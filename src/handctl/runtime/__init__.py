@@ -1,1 +1,1 @@
-"""Clocks, buses, the fixed-rate loop, and requests from other processes."""
+"""Execution of the controller: clocks, buses, the loop at a fixed rate, and requests from other processes."""

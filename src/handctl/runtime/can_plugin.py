@@ -47,7 +47,8 @@ class LocalCanBus(can.BusABC):
         """
         offset = time.time_ns() - time.monotonic_ns()  # python-can stamps messages with wall-clock time
         try:
-            # One record per read: a program that waits on ``fileno`` takes one message and waits again.
+            # One record per read: a program that waits on ``fileno`` takes one message and waits
+            # again.
             self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, max_records=1)
         except BusError as error:
             raise can.CanInitializationError(str(error)) from None
@@ -87,7 +88,8 @@ class LocalCanBus(can.BusABC):
             timeout: longest wait for free space in the queue [s]. None waits without limit.
 
         Raises:
-            can.CanOperationError: the queue stayed full, the hub is gone, or an FD message was sent on
+            can.CanOperationError: the queue stayed full, the hub is gone, or an FD message was sent
+            on
                 a bus that was opened without FD.
         """
         if msg.is_fd and not self._fd:
@@ -115,6 +117,6 @@ class LocalCanBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         """List the local buses of this user that have a socket on this machine."""
-        with suppress(BusError):  # a folder that cannot be trusted lists no bus
+        with suppress(BusError):  # no buses are listed if the folder is not safe
             return [{"interface": "local", "channel": path.stem} for path in sorted(run_dir().glob("*.bus"))]
         return []

@@ -1,8 +1,9 @@
 """Requests to a running controller, with confirmation by the controller.
 
-A sent datagram proves nothing. The controller may be paused, the mailbox may be full, or the socket
-may be left from a killed process. Every request therefore carries the name of its sender, and the
-controller confirms it with a status line that repeats this name.
+A sent datagram does not prove that the request was received. The controller may be paused, the
+mailbox may be full, or the socket may be left from a killed process. Every request therefore
+carries the name of its sender, and the controller confirms it with a status line that repeats this
+name.
 """
 
 import itertools
@@ -17,14 +18,14 @@ from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import events_for_request
 from handctl.runtime.mailbox import RETRY_S, WATCH, Watcher
 
-ANSWER_S = 2.0
+CONFIRMATION_TIMEOUT_S = 2.0
 """Longest wait for a confirmation, and longest silence of a controller while relaxing the hand [s]."""
 REPEAT_S = 0.25
 """Interval between repetitions of a request [s].
 
 Only requests that may arrive twice are repeated.
 """
-OFF_S = 10.0
+OFF_TIMEOUT_S = 10.0
 """Longest time from a stop to the confirmation of the last drive, in the hand's time [s]."""
 CONTROLLER_SILENT = "the controller is silent"
 MAILBOX_FULL = "its mailbox is full"
@@ -64,7 +65,7 @@ def send_confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = 
     """
     name = f"{os.getpid()}-{next(_numbers)}"
     data = json.dumps({**request, "by": name}).encode()
-    end = time.monotonic() + ANSWER_S
+    end = time.monotonic() + CONFIRMATION_TIMEOUT_S
     sent = False
     reason = CONTROLLER_SILENT
     watcher.discard()
@@ -111,8 +112,8 @@ def request_action(bus: str, word: str) -> Line:
         the last status line of the controller.
 
     Raises:
-        UnconfirmedError: the controller has not taken the request, or has fallen silent before every
-            drive was off.
+        UnconfirmedError: the controller has not taken the request, or has fallen silent before
+            every drive was off.
         PowerError: a drive did not confirm that it is disabled.
     """
     watcher = open_watcher(bus, word)
@@ -144,12 +145,12 @@ def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
             return line
         if line["mode"] == Mode.DONE.name:
             raise PowerError("; ".join(_mode_texts(line)), f"bus {watcher.name}")
-        if line["t_s"] > start_s + OFF_S:
+        if line["t_s"] > start_s + OFF_TIMEOUT_S:
             raise UnconfirmedError(watcher.name, word, f"accepted, but the hand is still in mode {line['mode']}")
         new = None
         last_line = time.monotonic()
         while new is None:
-            if time.monotonic() > last_line + ANSWER_S:
+            if time.monotonic() > last_line + CONFIRMATION_TIMEOUT_S:
                 raise UnconfirmedError(
                     watcher.name, word, f"accepted, but then {CONTROLLER_SILENT} in mode {line['mode']}"
                 )

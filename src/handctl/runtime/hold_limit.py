@@ -11,7 +11,7 @@ from handctl.errors import DriveError
 from handctl.runtime.mailbox import STOP
 from handctl.safety.action import Action
 
-LIMIT_S = 5.0
+MAX_HOLD_S = 5.0
 """Longest time for which a fault may hold such a run [s]."""
 
 
@@ -44,7 +44,7 @@ class HoldLimit:
             return
         if self._since_ns < 0:
             self._since_ns = entry.t_ns
-        if entry.t_ns - self._since_ns > LIMIT_S * 1e9 and not self.reason:
+        if entry.t_ns - self._since_ns > MAX_HOLD_S * 1e9 and not self.reason:
             self.reason = self._fault or "a fault"
             self._requests.append(STOP)
 
@@ -56,4 +56,4 @@ class HoldLimit:
         """
         if self.reason:
             right = "a hand without this fault; if it oscillates, try handctl tune design, then handctl gains apply"
-            raise DriveError(f"held for {LIMIT_S:g} s by {self.reason}", where, right)
+            raise DriveError(f"held for {MAX_HOLD_S:g} s by {self.reason}", where, right)

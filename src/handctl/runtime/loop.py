@@ -42,7 +42,6 @@ class OpenTick(Protocol[T]):
         ...
 
 
-
 CUT_TRIES = 20
 """Number of attempts to send the last cut on an interface that refuses frames."""
 CUT_PAUSE_S = 1e-3
@@ -147,9 +146,9 @@ class Loop(Generic[S]):
     Attributes:
         clock: clock in real time or in lockstep.
         period_ns: control period [ns].
-        buses: buses in the order of the hand file. A single object may serve all of them.
-        begin: function that begins a tick with the received frames, from the last state. Requests are
-            read after it, so that a streamed target waits as briefly as possible.
+        buses: buses in the order of the hand file. A single object may be used for all buses.
+        begin: function that begins a tick with the received frames, from the last state. Requests
+            are read after it, so that a streamed target waits as briefly as possible.
         cut: frames that remove the torque, built before the run.
         requests: function that returns the requests of operators and programs since the last call.
         host_events: function that returns the events of recorder and host since the last call.
@@ -191,7 +190,7 @@ class Loop(Generic[S]):
         try:
             with self.urgent():
                 self.clock.start()
-                for bus in self.buses:  # frames from before the run belong to no tick
+                for bus in self.buses:  # frames that were received before the run belong to no tick
                     bus.drain()
                 return self._run_guarded(state)
         finally:
@@ -256,7 +255,7 @@ class Loop(Generic[S]):
         if not left:
             return
         (bus, frames), *others = left
-        try:  # the recursion in ``finally`` reaches the other buses before the error goes on
+        try:  # the recursion in ``finally`` sends to the other buses before the error is raised
             if frames:
                 del frames[: bus.send(frames)]
         finally:
@@ -265,7 +264,7 @@ class Loop(Generic[S]):
     def _warm_up(self, state: S) -> None:
         """Run a tick and discard its result.
 
-        Objects and imports of the first use would otherwise delay the first real tick.
+        So objects and imports of the first use do not delay the first tick of the run.
         """
         tick = self.begin(state, TickIn(0, 0))
         tick.command(())
@@ -281,7 +280,7 @@ class Loop(Generic[S]):
         while mode != Mode.DONE:
             self._k = k
             late = self.clock.wait(k)
-            skipped = late // self.period_ns  # a missed deadline is skipped, never caught up
+            skipped = late // self.period_ns  # a missed tick is skipped, and not executed later
             k += skipped
             entry = self._collect(k, late - skipped * self.period_ns)
             tick = self.begin(last[0], entry)

@@ -89,7 +89,7 @@ class Mailbox:
                     continue
                 if len(self.watchers) < MAX_WATCHERS:
                     self.watchers.append(sender)
-                else:  # a watcher that is there keeps its place: its program may read without asking again
+                else:  # a watcher stays subscribed, so that its program may read status lines without a new request
                     self.askers.append(sender)
                 continue
             texts.append(data.decode("utf-8", "replace"))

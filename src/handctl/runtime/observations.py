@@ -36,7 +36,7 @@ RING_RECORDS = 512
 """Records in the ring: about a second at 500 Hz."""
 PAGE_BYTES = 4096
 """Alignment of the ring [bytes]."""
-TRIES = 100
+COPY_ATTEMPTS = 100
 """Number of attempts to copy a record that is being overwritten."""
 PUBLISHED_NAMES = {
     "q": "q_rad", "dq": "dq_rad_s", "q_goal": "q_goal_rad", "dq_goal": "dq_goal_rad_s",
@@ -51,7 +51,7 @@ PUBLISHED_NAMES = {
 }  # fmt: skip
 """Name of each telemetry field in a record, with its unit."""
 COUNTER = "<u8"
-FIXED: tuple[tuple[str, str], ...] = (
+LEADING_FIELDS: tuple[tuple[str, str], ...] = (
     ("k", "<i8"), ("t_ns", "<i8"), ("late_ns", "<i8"), ("published_ns", "<i8"), ("mode", "<i4"), ("action", "<i4"),
     ("phase", "S24"),
     ("stream_number", "<i8"), ("stream_age_s", "<f8"), ("stream_accepted", "<i8"), ("stream_clipped", "<i8"),
@@ -69,7 +69,7 @@ def record_type(axes: Mapping[str, int]) -> np.dtype[np.void]:
             "motor" and "digit".
     """
     numbers = [(PUBLISHED_NAMES[name], "<f8", (axes[TELEMETRY_AXES[name]],)) for name in TELEMETRY_FIELDS]
-    return np.dtype([*FIXED, *numbers])
+    return np.dtype([*LEADING_FIELDS, *numbers])
 
 
 class ObservationWriter:
@@ -102,7 +102,8 @@ class ObservationWriter:
             self._map = mmap.mmap(descriptor, 0)
         finally:
             os.close(descriptor)
-        # Fields of 8 bytes follow each other without gaps: the telemetry is one vector at the end of a record.
+        # Fields of 8 bytes follow each other without gaps: the telemetry is one vector at the end
+        # of a record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
         assert kind.itemsize == _FIXED.size + 8 * count
         starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
@@ -186,7 +187,7 @@ class ObservationReader:
 
     def latest(self) -> NDArray[np.void] | None:
         """Return the latest record as an array of shape (), or None before the first record."""
-        for _ in range(TRIES):
+        for _ in range(COPY_ATTEMPTS):
             written = self.written
             if written == 0:
                 return None
@@ -201,9 +202,9 @@ class ObservationReader:
 
         If the next record has already been overwritten, the oldest record in the ring is returned.
         """
-        for _ in range(TRIES):
+        for _ in range(COPY_ATTEMPTS):
             written = self.written
-            # The oldest slot may be overwritten next, so the reader keeps away from it.
+            # The oldest slot may be overwritten next, so the reader does not use it.
             at = max(self.seen, written - self._records + 2)
             if at >= written:
                 return None

@@ -22,10 +22,10 @@ OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 """Permission bits for writing by group or others."""
 GROUP_AND_OTHERS = stat.S_IRWXG | stat.S_IRWXO
 """Permission bits of group and others."""
-PRIVATE = 0o700
+PRIVATE_MODE = 0o700
 """Permission bits of a folder created by handctl."""
 OPEN_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
-"""Flags to open a parent folder. O_PATH needs no permission to read the folder."""
+"""Flags to open a parent folder. With O_PATH no permission to read the folder is needed."""
 MAX_LINKS = 8
 """Largest number of symbolic links to follow."""
 RIGHT_FOLDER = "a folder that only you can access (mode 0700); HANDCTL_RUN_DIR names another"
@@ -93,7 +93,7 @@ def _stat_or_make(part: str, at: int) -> os.stat_result:
     with suppress(FileNotFoundError):
         return os.stat(part, dir_fd=at, follow_symlinks=False)
     with suppress(FileExistsError):  # another process has made the folder meanwhile, and it is checked like any other
-        os.mkdir(part, PRIVATE, dir_fd=at)
+        os.mkdir(part, PRIVATE_MODE, dir_fd=at)
     return os.stat(part, dir_fd=at, follow_symlinks=False)
 
 
@@ -108,7 +108,7 @@ def _refuse_shared(here: Path, at: int) -> None:
     if state.st_mode & OTHERS_WRITE:
         raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), RIGHT_FOLDER)
     if state.st_mode & GROUP_AND_OTHERS:
-        os.fchmod(at, PRIVATE)
+        os.fchmod(at, PRIVATE_MODE)
 
 
 def _refuse_unsafe(here: Path, at: int) -> None:

@@ -13,7 +13,7 @@ import sys
 CREDENTIALS = struct.Struct("3i")
 """``struct ucred`` of Linux: process, user, group. Source: man 7 unix."""
 IS_LINUX = sys.platform.startswith("linux")
-SPACE = socket.CMSG_SPACE(CREDENTIALS.size)
+CONTROL_BUFFER_BYTES = socket.CMSG_SPACE(CREDENTIALS.size)
 """Buffer for one control message with credentials [bytes]."""
 SO_PASSCRED, SCM_CREDENTIALS, SO_PEERCRED = (getattr(socket, name, 0) for name in
                                              ("SO_PASSCRED", "SCM_CREDENTIALS", "SO_PEERCRED"))  # fmt: skip
@@ -42,7 +42,7 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
     if not IS_LINUX:
         data, sender = link.recvfrom(max_bytes)
         return data, sender if isinstance(sender, str) else "", True
-    data, ancillary, _, sender = link.recvmsg(max_bytes, SPACE)
+    data, ancillary, _, sender = link.recvmsg(max_bytes, CONTROL_BUFFER_BYTES)
     users = [CREDENTIALS.unpack(raw)[1] for level, kind, raw in ancillary
              if (level, kind) == (socket.SOL_SOCKET, SCM_CREDENTIALS) and len(raw) == CREDENTIALS.size]  # fmt: skip
     return data, sender if isinstance(sender, str) else "", bool(users) and all(map(is_trusted, users))

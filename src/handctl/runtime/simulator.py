@@ -10,7 +10,7 @@ from handctl.errors import BusError, ConfigError
 from handctl.runtime.buses.open import check_spec
 from handctl.runtime.paths import faults_path, is_served, run_dir
 
-ANSWER_S = 5.0
+ANSWER_TIMEOUT_S = 5.0
 """Longest wait for an answer [s]."""
 MAX_ANSWER = 1 << 18
 """Longest answer [bytes]."""
@@ -60,7 +60,7 @@ def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
         try:
             asking.bind(str(reply_path))
-            asking.settimeout(ANSWER_S)
+            asking.settimeout(ANSWER_TIMEOUT_S)
             asking.sendto(json.dumps(question).encode(), str(path))
             answer: dict[str, Any] = json.loads(asking.recv(MAX_ANSWER))
         except OSError as error:

@@ -26,11 +26,11 @@ HEADER = struct.Struct("<4sIIIqq")
 MAX_DATAGRAM_BYTES = HEADER.size + 8 * MAX_TARGET_VALUES
 """Longest datagram of a target [bytes]."""
 READ_PER_TICK = 64
-"""Largest number of datagrams read per tick. A client ten times too fast sends fewer."""
+"""Largest number of datagrams read per tick. A client that sends ten times too fast sends fewer than this."""
 MAX_TARGETS_PER_TICK = 4
 """Largest number of targets passed to a tick.
 
-The newest are passed, and the target numbers show skipped targets.
+The newest targets are passed. The numbers of the targets show which are missing.
 """
 
 

@@ -7,7 +7,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.programs.default_task import SCENE, default_scene, default_task
 from handctl.programs.task import Task, load_task, load_trajectory
-from handctl.programs.task_checks import check_suits
+from handctl.programs.task_checks import check_task_for_hand
 
 TASKS = Path(__file__).parents[1] / "tasks"
 
@@ -28,11 +28,11 @@ def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
         with suppress(ConfigError):
             return find_task(GRASP, hand)
         task, text = default_task(hand)
-        check_suits(task, hand, "default task")
+        check_task_for_hand(task, hand, "default task")
         return task, text.encode()
     path = task_path(name)
     task = load_task(path)
-    check_suits(task, hand, str(name))
+    check_task_for_hand(task, hand, str(name))
     return task, path.read_bytes()
 
 
@@ -66,5 +66,5 @@ def find_trajectory(path: Path, hand: Hand) -> Task:
         ConfigError: the file does not exist, or its content is wrong.
     """
     task = load_trajectory(path)
-    check_suits(task, hand, str(path))
+    check_task_for_hand(task, hand, str(path))
     return task

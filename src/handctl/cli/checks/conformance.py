@@ -22,7 +22,7 @@ from handctl.drives.discovery import DiscoveredNode
 from handctl.errors import ConfigError, PowerError
 from handctl.runtime.buses.open import check_spec
 from handctl.runtime.diagnostics.conformance import (
-    PROMISES,
+    REQUIREMENTS,
     CheckVerdict,
     ConformanceCheck,
     DeviceUnderTest,
@@ -73,10 +73,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _dry_run(args: argparse.Namespace) -> int:
     if args.json:
-        print_json({"checks": [name for name, _, _ in PROMISES], "torque_limit_N_m": args.limit})
+        print_json({"checks": [name for name, _, _ in REQUIREMENTS], "torque_limit_N_m": args.limit})
         return ExitCode.DONE
     print(f"would check that {args.protocol} {args.node}, with at most {args.limit:g} N m,")
-    for name, _, turns in PROMISES:
+    for name, _, turns in REQUIREMENTS:
         print(f"  {name}" + (" (the shaft turns)" if turns else ""))
     return ExitCode.DONE
 
@@ -94,10 +94,10 @@ def _run_checks(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tup
                 if not args.json:
                     print(f"{VERDICT_WORDS[check.verdict]}  {check.name}: {check.reason}", flush=True)
         finally:
-            if len(results) < len(PROMISES):
+            if len(results) < len(REQUIREMENTS):
                 bus.send(drive.cut())
             off = release_drive(rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None)
-            if not off and len(results) < len(PROMISES):  # ended by Ctrl-C or a bug: report it here
+            if not off and len(results) < len(REQUIREMENTS):  # ended by Ctrl-C or a bug: report it here
                 raise PowerError(NOT_OFF_WARNING)
     return results, off
 

@@ -28,7 +28,7 @@ JOINT_RATE_RAD_S = 60.0
 
 Source: spool speed of the packaged hands over their smallest moment arm.
 """
-NOISE_STEPS = 6.0
+ROUNDING_NOISE_COUNTS = 6.0
 """Rounding error of the encoder in the mean squared jerk [encoder counts]."""
 
 
@@ -157,5 +157,5 @@ def _noise_limit(model: HandModel) -> float:
     # Acceleration of the bare rotor at full torque [rad/s^2]: torque / spool = force, / mass, /
     # spool.
     torque = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
-    rounding = NOISE_STEPS * float((space.encoder_step / space.spool).max()) ** 2
+    rounding = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
     return NOISE_FACTOR * ((0.1 * torque * period**2) ** 2 + rounding)

@@ -5,7 +5,7 @@ drive, outside any tick (``runtime.diagnostics.canopen_identity``). Source: CiA 
 """
 
 from handctl.drives.cia402 import codec
-from handctl.drives.cia402.settings import MASTER
+from handctl.drives.cia402.settings import HOST_NODE
 from handctl.drives.discovery import (
     TWO_DRIVES_WARNING,
     DiscoveredNode,
@@ -16,7 +16,7 @@ from handctl.drives.discovery import (
 from handctl.drives.frame import REMOTE, Frame
 from handctl.hand.file.sections import CIA404
 
-NODE_NUMBERS = range(1, MASTER)
+NODE_NUMBERS = range(1, HOST_NODE)
 """Node numbers to try."""
 # Object with the device type, and the profile number in its low word.
 DEVICE_TYPE = 0x1000
@@ -104,7 +104,7 @@ def command_ids(node: DiscoveredNode) -> frozenset[int]:
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames sent by another host: SYNC, NMT, heartbeats of handctl."""
-    identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + MASTER)
+    identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + HOST_NODE)
     return tuple(frame for frame in received if frame.can_id & ~REMOTE in identifiers)
 
 

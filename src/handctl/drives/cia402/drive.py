@@ -39,7 +39,7 @@ from handctl.errors import ConfigError
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-HEARTBEATS_MISSED = 3.5
+MAX_MISSED_HEARTBEATS = 3.5
 """Heartbeat periods without a sign of life before the drive counts as lost."""
 TORQUE_UNITS = {"uN_m": 1e6, "mN_m": 1e3}
 """Counts of object 0x6076 per newton metre. Makers differ: uN m on EPOS4, mN m in the standard."""
@@ -107,8 +107,8 @@ class Cia402Drive:
         """
         options = dict(motor.options if given is None else given)
         where = f"motor[{motor.name}].options"
-        if not 0 < motor.node_id < setup.MASTER:
-            raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.MASTER - 1}")
+        if not 0 < motor.node_id < setup.HOST_NODE:
+            raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.HOST_NODE - 1}")
         ratio = checked_positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
         rated = checked_positive(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
         counts = checked_whole_number(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
@@ -140,7 +140,7 @@ class Cia402Drive:
             sync=sync,
             # Three heartbeats are sent per watchdog time, so two may be lost.
             heartbeat_period_ns=watchdog * 1_000_000 // 3,
-            life_sign_timeout_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
+            life_sign_timeout_ns=round(heartbeat * MAX_MISSED_HEARTBEATS * 1e6),
         )
 
     @property
@@ -152,7 +152,7 @@ class Cia402Drive:
     def background(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the periodic frames: both heartbeats, and the SDO transfers of the repeated read-back."""
         beats = (
-            (1, False, HEARTBEATS_MISSED * 1e9 / self.life_sign_timeout_ns),
+            (1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns),
             (1, False, 1e9 / self.heartbeat_period_ns),
         )
         return (*beats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
@@ -429,7 +429,7 @@ class Cia402Drive:
         """
         if state.phase != READY:
             return ()
-        data = codec.download_request(*setup.UNSUPERVISED)
+        data = codec.download_request(*setup.END_OF_SUPERVISION)
         return (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
@@ -440,5 +440,5 @@ class Cia402Drive:
         return updated, (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._rpdo(codec.FAULT_RESET, 0.0))
 
 
-_HOST_HEARTBEAT = codec.HEARTBEAT + setup.MASTER
+_HOST_HEARTBEAT = codec.HEARTBEAT + setup.HOST_NODE
 """Identifier of this host's heartbeat."""

@@ -28,11 +28,11 @@ VELOCITY_UNITS = ("rev_min", "count_s")
 """Values of the option ``velocity_unit``, the default first."""
 INTERPOLATION_MS = 5
 """Interpolation period of the target position [ms], the period of the commands on a bench."""
-FOLLOWING_RAD = 0.5
+FOLLOWING_ERROR_RAD = 0.5
 """Following error from which the drive reports a fault [rad at the spool]."""
-FOLLOWING_MS = 200
+FOLLOWING_ERROR_MS = 200
 """Longest duration of a larger following error without a fault [ms]."""
-RPM = math.tau / 60.0
+RAD_S_PER_RPM = math.tau / 60.0
 """Speed of one revolution per minute [rad/s]."""
 
 
@@ -89,11 +89,11 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
         raise ConfigError(repr(unit), f"{where}.options.velocity_unit", " or ".join(VELOCITY_UNITS))
     fields = init_fields(Cia402Drive.of(motor, bus, options, _MODES[mode]))
     ratio = abs(fields["ratio"])
-    speed = math.ceil(limits.speed * ratio / RPM)
-    window = math.ceil(FOLLOWING_RAD * ratio / math.tau * fields["counts"])
+    speed = math.ceil(limits.speed * ratio / RAD_S_PER_RPM)
+    window = math.ceil(FOLLOWING_ERROR_RAD * ratio / math.tau * fields["counts"])
     fields["steps"] = (*_motion_steps(mode, speed, window), *fields["steps"])
     fields["torque_limit"] = limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
-    one = (RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields["ratio"]
+    one = (RAD_S_PER_RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields["ratio"]
     try:
         return Cia402ModeDrive(**fields, mode=mode, velocity_unit=one)
     except ValueError as error:
@@ -115,7 +115,7 @@ def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Step,
     return (
         maximum,
         setup.Step(write, 0x6065, 0, window, 4),
-        setup.Step(write, 0x6066, 0, FOLLOWING_MS, 2),
+        setup.Step(write, 0x6066, 0, FOLLOWING_ERROR_MS, 2),
         # The interpolation time is value x 10^index seconds. The index -3 means milliseconds.
         setup.Step(write, 0x60C2, 1, INTERPOLATION_MS, 1),
         setup.Step(write, 0x60C2, 2, 0xFD, 1),

@@ -14,11 +14,11 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 DROPPED_OUT = 0x1_0000
 MISMATCH = 0x1_0001
 LOST = 0x1_0002
-ENABLED_BY_OTHERS = 0x1_0003
+ENABLED_BY_OTHER_HOST = 0x1_0003
 CAUSES = {
     0x3210: Cause.VOLTAGE, 0x3220: Cause.VOLTAGE, 0x4210: Cause.HOT, 0x4310: Cause.HOT, 0x8130: Cause.WATCHDOG,
     0x8250: Cause.WATCHDOG, 0x8100: Cause.DROPPED_OUT, DROPPED_OUT: Cause.DROPPED_OUT, LOST: Cause.LOST,
-    MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
+    MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH,
 }  # fmt: skip
 """Cause of each emergency code and of each error code added by handctl."""
 CLEAR_TRIES = 20
@@ -92,7 +92,9 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
         if progress.enable_sent:
             return updated._replace(phase=ENABLED) if state.phase == READY else updated
         return (
-            to_fault(updated, ENABLED_BY_OTHERS, "enabled, but not by this host") if state.phase != FAULT else updated
+            to_fault(updated, ENABLED_BY_OTHER_HOST, "enabled, but not by this host")
+            if state.phase != FAULT
+            else updated
         )
     if state.phase == CONFIGURING and power in codec.WITHOUT_TORQUE:
         return updated._replace(phase=READY, error_text="", private=progress._replace(clearing=0))

@@ -12,7 +12,7 @@ from handctl.drives import readback
 from handctl.drives.cia402 import codec
 from handctl.drives.readback import Cursor
 
-UNLIMITED = 1 << 62
+UNLIMITED_TRIES = 1 << 62
 """Number of requests for an object that is requested until the drive answers: no limit."""
 POSITION_MODE = 8
 """Mode of operation: cyclic synchronous position."""
@@ -24,9 +24,9 @@ TARGETS = {POSITION_MODE: (0x607A, 4), VELOCITY_MODE: (0x60FF, 4), TORQUE_MODE: 
 """Object of the target, and its size in bytes, by mode of operation."""
 PDO_DISABLED_BIT = 1 << 31
 """Bit of a COB-ID that disables the PDO."""
-MASTER = 0x7F
+HOST_NODE = 0x7F
 """Node number of this host, whose heartbeat the drives supervise."""
-UNSUPERVISED = 0x1016, 1, (MASTER << 16).to_bytes(4, "little")
+END_OF_SUPERVISION = 0x1016, 1, (HOST_NODE << 16).to_bytes(4, "little")
 """Index, sub-index, and value of the object that ends the supervision of the host's heartbeat: time 0."""
 
 
@@ -126,7 +126,7 @@ def required_steps(
         Step(write, 0x6071, 0, 0, 2),
         # Abort connection option 1 makes the loss of the master a fault.
         Step(write, 0x6007, 0, 1, 2),
-        Step(write, 0x1016, 1, MASTER << 16 | watchdog_ms, 4),
+        Step(write, 0x1016, 1, HOST_NODE << 16 | watchdog_ms, 4),
         Step(write, 0x1017, 0, heartbeat_ms, 2),
         Step(write, 0x6060, 0, mode, 1),
         Step(same, 0x6061, 0, mode, 1),
@@ -157,7 +157,7 @@ def is_write_next(cursor: Cursor, step: Step) -> bool:
     return cursor.writing or (step.writes and not cursor.written)
 
 
-def _is_right(step: Step, value: int) -> bool:
+def _has_required_value(step: Step, value: int) -> bool:
     """Return True if the value of an object is the required one."""
     if step.check == Check.HAS_BITS:
         return value & step.value == step.value
@@ -186,7 +186,7 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
     value = int.from_bytes(reply.raw, "little")
     if step.check == Check.READ_IF_PRESENT:
         return cursor.next_setting(), value, ""
-    if _is_right(step, value):
+    if _has_required_value(step, value):
         return cursor.next_setting(), 0, ""
     writes = 1 if step.check == Check.ADJUST else 0
     cursor, problem = readback.on_wrong_value(cursor, step.name, f"{value:#x}", f"{step.value:#x}", writes)
@@ -201,7 +201,7 @@ def next_request(cursor: Cursor, required: tuple[Step, ...], t_ns: int) -> tuple
     """
     step = required[cursor.step]
     cursor, send, problem = readback.request_setting(
-        cursor, step.name, t_ns, readback.REQUEST_TRIES if cursor.step else UNLIMITED
+        cursor, step.name, t_ns, readback.REQUEST_TRIES if cursor.step else UNLIMITED_TRIES
     )
     if not send:
         return cursor, b"", problem

@@ -59,7 +59,7 @@ ANSWERS_REQUIRED = 3
 
 The first answer may have been sent before the command.
 """
-COLDEST_C = -40.0
+ZERO_COUNT_TEMPERATURE_C = -40.0
 """Temperature of count 0 in byte 6 [degC].
 
 Source: CubeMars AK Series Actuator Driver Manual, 5.3, example of a reply. Clients that read the
@@ -163,9 +163,11 @@ class CubemarsDrive:
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
         ranges = pop_motor_model(options, where, MODELS)
-        temperature_offset = options.pop("temperature_offset_C", COLDEST_C)
-        if isinstance(temperature_offset, bool) or temperature_offset not in (COLDEST_C, 0.0):
-            raise ConfigError(repr(temperature_offset), f"{where}.options.temperature_offset_C", f"{COLDEST_C:g} or 0")
+        temperature_offset = options.pop("temperature_offset_C", ZERO_COUNT_TEMPERATURE_C)
+        if isinstance(temperature_offset, bool) or temperature_offset not in (ZERO_COUNT_TEMPERATURE_C, 0.0):
+            raise ConfigError(
+                repr(temperature_offset), f"{where}.options.temperature_offset_C", f"{ZERO_COUNT_TEMPERATURE_C:g} or 0"
+            )
         refuse_unknown_options(options, f"{where}.options", "motor_type or temperature_offset_C")
         check_full_scale(motor, ranges)
         torque_limit = motor.torque_max_N_m

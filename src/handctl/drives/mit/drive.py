@@ -20,7 +20,7 @@ from handctl.drives.mit import settings as registers
 from handctl.drives.mit.progress import (
     CAUSES,
     CLEAR_TRIES,
-    FIRES_DISABLED,
+    FIRES_WHILE_DISABLED_TEXT,
     MISMATCH,
     SILENCE_NS,
     MitProgress,
@@ -290,7 +290,7 @@ class MitDrive:
         ):
             return state._replace(phase=SILENT, private=MitProgress()), (self._refresh(),)
         # Commands restart the watchdog of this motor, also while it is disabled.
-        fed = state.error_text == FIRES_DISABLED
+        fed = state.error_text == FIRES_WHILE_DISABLED_TEXT
         clear = (self._frame(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             updated, requests = self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
@@ -336,7 +336,7 @@ class MitDrive:
         cursor, data, problem = registers.next_request(progress.cursor, self.required, self.node_id, t_ns)
         if problem:
             return to_fault(state._replace(private=progress), MISMATCH, problem), ()
-        text = FIRES_DISABLED if state.error_text == FIRES_DISABLED else ""
+        text = FIRES_WHILE_DISABLED_TEXT if state.error_text == FIRES_WHILE_DISABLED_TEXT else ""
         updated = state._replace(error_text=text, private=progress._replace(cursor=cursor))
         return updated, (self._broadcast(data),) if data else ()
 

@@ -16,15 +16,15 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 DROPPED_OUT = 0x100
 MISMATCH = 0x101
 UNKNOWN = 0x102
-ENABLED_BY_OTHERS = 0x103
+ENABLED_BY_OTHER_HOST = 0x103
 CAUSES = {
     0x8: Cause.VOLTAGE, 0x9: Cause.VOLTAGE, 0xB: Cause.HOT, 0xC: Cause.HOT, 0xD: Cause.WATCHDOG,
-    DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
+    DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH,
 } | dict.fromkeys(codec.ERRORS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, Cause.OTHER)  # fmt: skip
 """Cause of each state nibble and of each error code added by handctl."""
 WATCHDOG_FIRED = 0xD
 """State nibble of a motor whose watchdog has fired."""
-FIRES_DISABLED = "its watchdog also fires while it is disabled"
+FIRES_WHILE_DISABLED_TEXT = "its watchdog also fires while it is disabled"
 """Text of a disabled motor that reported WATCHDOG_FIRED. The motor has no error, and gets clear commands."""
 CLEAR_TRIES = 6
 """Number of feedback frames that may still show an error after the command to clear it.
@@ -107,7 +107,7 @@ def _state_when_enabled(state: DriveState, progress: MitProgress) -> DriveState:
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
     if state.phase == READY:
-        return to_fault(enabled, ENABLED_BY_OTHERS, "enabled, but not by this host")
+        return to_fault(enabled, ENABLED_BY_OTHER_HOST, "enabled, but not by this host")
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
@@ -123,7 +123,7 @@ def _state_after_error(state: DriveState, progress: MitProgress, nibble: int) ->
     if nibble == WATCHDOG_FIRED and idle and state.phase in (CONFIGURING, READY):
         # Register requests do not restart the watchdog. The motor makes no torque, so no operator
         # is needed.
-        return state._replace(error_text=FIRES_DISABLED, private=progress._replace(clearing=CLEAR_TRIES))
+        return state._replace(error_text=FIRES_WHILE_DISABLED_TEXT, private=progress._replace(clearing=CLEAR_TRIES))
     if nibble in codec.ERRORS:
         off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
         return to_fault(off, nibble, codec.ERRORS[nibble])

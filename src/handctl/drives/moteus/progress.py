@@ -13,10 +13,10 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 # Error codes that handctl adds, above the fault codes of the drive.
 DROPPED_OUT = 0x100
 MISMATCH = 0x101
-ENABLED_BY_OTHERS = 0x102
+ENABLED_BY_OTHER_HOST = 0x102
 CAUSES = {
     codec.FAULT_MODE: Cause.OTHER, codec.TIMED_OUT: Cause.WATCHDOG, 34: Cause.VOLTAGE, 40: Cause.VOLTAGE, 38: Cause.HOT,
-    DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
+    DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH,
 } | dict.fromkeys(codec.FAULTS.keys() - {34, 38, 40}, Cause.OTHER)  # fmt: skip
 """Cause of each fault code, of each mode, and of each error code added by handctl."""
 CLEAR_TRIES = 3
@@ -129,7 +129,7 @@ def _state_when_enabled_by_other(state: DriveState, progress: MoteusProgress, te
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
     if state.phase == READY:
-        return to_fault(enabled, ENABLED_BY_OTHERS, text)
+        return to_fault(enabled, ENABLED_BY_OTHER_HOST, text)
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 

@@ -20,7 +20,7 @@ from handctl.drives.odrive import settings as endpoints
 from handctl.drives.odrive.options import OPTION_NAMES, pop_options
 from handctl.drives.odrive.progress import (
     CLEAR_TRIES,
-    HEARTBEATS_MISSED,
+    MAX_MISSED_HEARTBEATS,
     MISMATCH,
     REPEAT_NS,
     SERIAL_NUMBER_TRIES,
@@ -114,7 +114,7 @@ class OdriveDrive:
             settings=settings,
             cyclic_s=parsed.cyclic_s,
             torque_feedback=parsed.torque_feedback,
-            heartbeat_timeout_ns=round(parsed.heartbeat * HEARTBEATS_MISSED * 1e6),
+            heartbeat_timeout_ns=round(parsed.heartbeat * MAX_MISSED_HEARTBEATS * 1e6),
             firmware_05=parsed.firmware_05,
         )
 
@@ -132,7 +132,7 @@ class OdriveDrive:
         temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_NS
         parsed = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
         recheck = readback.RECHECKS_PER_SECOND if self.settings else 0.0
-        beats = HEARTBEATS_MISSED * 1e9 / self.heartbeat_timeout_ns + parsed
+        beats = MAX_MISSED_HEARTBEATS * 1e9 / self.heartbeat_timeout_ns + parsed
         return (
             (8, False, beats),
             (0, False, temperature_rate),

@@ -53,7 +53,7 @@ def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
     if type(feedback) is not bool or (feedback and firmware_05):
         hint = "false: firmware 0.5 does not report torque" if feedback is True else "true or false"
         raise ConfigError(repr(feedback), f"{where}.torque_feedback", hint)
-    if firmware_05 and (keys := [key for key in options if key in endpoints.KEYS]):
+    if firmware_05 and (keys := [key for key in options if key in endpoints.ENDPOINT_KEYS]):
         raise ConfigError("firmware 0.5 has no SDO", f"{where}.{keys[0]}", "no such key")
     cyclic = options.pop("encoder_period_ms", None)
     if cyclic is not None:

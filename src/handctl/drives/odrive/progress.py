@@ -10,11 +10,11 @@ from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHERS, LOST = (1 << 32 | number for number in range(5))
+DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHER_HOST, LOST = (1 << 32 | number for number in range(5))
 """Error codes added by handctl, above the drive's 32 bits."""
 CAUSES = {
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, REFUSED: Cause.OTHER,
-    ENABLED_BY_OTHERS: Cause.MISMATCH, LOST: Cause.LOST,
+    ENABLED_BY_OTHER_HOST: Cause.MISMATCH, LOST: Cause.LOST,
 }  # fmt: skip
 """Cause of each error code added by handctl."""
 CAUSES_OF_BITS = {
@@ -31,7 +31,7 @@ CLEAR_TRIES = 3
 SERIAL_NUMBER_TRIES = 3
 ENABLE_COMMANDS = 5
 """Number of enable commands without success after which the drive is in fault."""
-HEARTBEATS_MISSED = 3.5
+MAX_MISSED_HEARTBEATS = 3.5
 """Number of periods without a heartbeat after which the drive counts as lost."""
 SETTLE_NS = 5_000_000
 """Time after a command in which a heartbeat may still be older than the command [ns]."""
@@ -135,7 +135,7 @@ def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveSta
     if progress.disabling_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
         return state._replace(phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0))
     if state.phase == READY:
-        return to_fault(state, ENABLED_BY_OTHERS, "in closed loop, but not by this host")
+        return to_fault(state, ENABLED_BY_OTHER_HOST, "in closed loop, but not by this host")
     return state
 
 
@@ -147,7 +147,7 @@ def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress)
     if state.phase == ENABLED and progress.disabling_ns < 0:
         return to_fault(state, DROPPED_OUT, f"went to axis state {progress.axis} by itself")
     if state.phase == READY and progress.enable_sent_ns < 0 and progress.axis > codec.IDLE:
-        return to_fault(state, ENABLED_BY_OTHERS, f"in axis state {progress.axis}, but not by this host")
+        return to_fault(state, ENABLED_BY_OTHER_HOST, f"in axis state {progress.axis}, but not by this host")
     return state
 
 

@@ -16,7 +16,7 @@ from handctl.errors import ConfigError
 
 WRITE_TRIES = 3
 """Number of writes per setting. The drive does not confirm a write, and a possibly lost write is repeated."""
-KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpoint_torque_max", "endpoint_torque_min")
+ENDPOINT_KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpoint_torque_max", "endpoint_torque_min")
 """Names of the options whose value is an endpoint number."""
 
 
@@ -45,7 +45,7 @@ def pop_settings(
     """
     values = (b"\1", codec.encode_floats(watchdog_s), codec.encode_floats(torque), codec.encode_floats(-torque))
     settings = []
-    for key, raw in zip(KEYS, values, strict=True):
+    for key, raw in zip(ENDPOINT_KEYS, values, strict=True):
         endpoint = options.pop(key, None)
         if endpoint is None:
             continue
@@ -55,7 +55,9 @@ def pop_settings(
     names = {setting.name for setting in settings}
     if len(names & {"enable_watchdog", "watchdog_timeout"}) == 1:
         raise ConfigError(
-            "one of two watchdog endpoints", f"{where}.{KEYS[0]}", f"both {KEYS[0]} and {KEYS[1]}, or neither"
+            "one of two watchdog endpoints",
+            f"{where}.{ENDPOINT_KEYS[0]}",
+            f"both {ENDPOINT_KEYS[0]} and {ENDPOINT_KEYS[1]}, or neither",
         )
     return tuple(settings)
 
@@ -65,10 +67,10 @@ def unverified_protections(settings: tuple[Setting, ...], firmware_05: bool) -> 
     names = {setting.name for setting in settings}
     guards = []
     if "watchdog_timeout" not in names:
-        remedy = "set it over USB" if firmware_05 else f"give {KEYS[0]} and {KEYS[1]}"
+        remedy = "set it over USB" if firmware_05 else f"give {ENDPOINT_KEYS[0]} and {ENDPOINT_KEYS[1]}"
         guards.append(f"watchdog not verified: CANSimple cannot read it; a dead host may leave torque on; {remedy}")
     if not {"torque_max", "torque_min"} <= names:
-        remedy = "set it over USB" if firmware_05 else f"give {KEYS[2]} and {KEYS[3]}"
+        remedy = "set it over USB" if firmware_05 else f"give {ENDPOINT_KEYS[2]} and {ENDPOINT_KEYS[3]}"
         guards.append(f"the drive's own torque limit is not verified: CANSimple cannot read it; {remedy}")
     return tuple(guards)
 

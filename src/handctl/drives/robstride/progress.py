@@ -13,8 +13,8 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 # of the fault report.
 DROPPED_OUT = 1 << 6
 MISMATCH = 1 << 7
-ENABLED_BY_OTHERS = 3 << 6
-CAUSES = {DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH}
+ENABLED_BY_OTHER_HOST = 3 << 6
+CAUSES = {DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH}
 """Cause of each error code added by handctl."""
 CAUSES_OF_BITS = {0: Cause.VOLTAGE, 10: Cause.VOLTAGE, 11: Cause.VOLTAGE, 2: Cause.HOT, 8: Cause.HOT}
 """Cause of each fault bit of the motor."""
@@ -115,7 +115,7 @@ def _state_when_enabled_by_other(state: DriveState, progress: RobstrideProgress,
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
     if state.phase in (READY, ENABLED):
-        return to_fault(enabled, ENABLED_BY_OTHERS, text)
+        return to_fault(enabled, ENABLED_BY_OTHER_HOST, text)
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 

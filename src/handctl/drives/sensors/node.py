@@ -31,7 +31,7 @@ CHANNEL_BITS = 12
 """Number of bits of a channel."""
 COUNTER_BITS = 4
 """Number of bits of the counter in an answer."""
-SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS * CHANNEL_BITS, CHANNEL_BITS))
+CHANNEL_SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS * CHANNEL_BITS, CHANNEL_BITS))
 """Lowest bit of each channel."""
 MAX_CHANNEL_COUNT = (1 << CHANNEL_BITS) - 1
 """Largest count of a channel."""
@@ -276,9 +276,9 @@ class SensorNode:
 def _channel_signal(slot: int, index: int, tension: bool) -> Signal:
     """Return the signal of one channel of a frame, at its position after the counter."""
     if tension:
-        return Signal(f"tension_{slot}", Quantity.TENSION, SHIFTS[slot], CHANNEL_BITS, scale=TENSION_STEP_N,
+        return Signal(f"tension_{slot}", Quantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS, scale=TENSION_STEP_N,
                       offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
-    return Signal(f"angle_{slot}", Quantity.ANGLE, SHIFTS[slot], CHANNEL_BITS, scale=JOINT_STEP_RAD,
+    return Signal(f"angle_{slot}", Quantity.ANGLE, CHANNEL_SHIFTS[slot], CHANNEL_BITS, scale=JOINT_STEP_RAD,
                   offset=-JOINT_ZERO * JOINT_STEP_RAD, unit="rad", channel=index)  # fmt: skip
 
 

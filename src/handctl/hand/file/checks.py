@@ -23,7 +23,7 @@ LARGEST_ARM_M = 0.05
 """Largest moment arm [m]."""
 ARM_SAMPLES = 181
 """Number of angles at which an arm that depends on the angle is checked."""
-LARGEST_RESIDUAL = 0.1
+MAX_TABLE_RESIDUAL_FRACTION = 0.1
 """Largest difference of a table of arms from its polynomial, as a fraction of the largest arm."""
 ROUTING_SAMPLES = 11
 """Number of postures at which the routing of a digit with arms that depend on the angle is checked."""
@@ -73,7 +73,7 @@ SHARED_IDS = (
     ("cia402", 0x77F, "this host's heartbeat to CiA 402 drives"),
 )
 """Identifiers that all motors of a protocol share on a bus: protocol, identifier, name of the frame."""
-MIN_CONDITION = 1e-6
+MIN_SINGULAR_VALUE_RATIO = 1e-6
 """Ratio of the smallest to the largest singular value from which a matrix has full rank."""
 
 
@@ -317,9 +317,11 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> Mistakes:
         worst = values[least] if abs(values[least]) < SMALLEST_ARM_M else values[np.argmax(np.abs(values))]
         place = angle[np.argmin(np.abs(values - worst))]
         yield Mistake(f"an arm of {worst:.3g} m at {place:.0f} deg", where, f"0.0001 to 0.05 m over {range_text}")
-    elif (residual := table_residual(arm)) > LARGEST_RESIDUAL * size:
+    elif (residual := table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
         what = f"the polynomial of degree {TABLE_DEGREE} differs by {1e3 * residual:.2g} mm from the table"
-        yield Mistake(what, where, f"a smoother table, within {1e2 * LARGEST_RESIDUAL:g} % of the arm, or polynomial_m")
+        yield Mistake(
+            what, where, f"a smoother table, within {1e2 * MAX_TABLE_RESIDUAL_FRACTION:g} % of the arm, or polynomial_m"
+        )
 
 
 def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
@@ -346,7 +348,7 @@ def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
 def _rank(arms: NDArray[np.float64]) -> int:
     """Return the rank of reduced moment arms."""
     values = np.linalg.svd(arms, compute_uv=False)
-    return int((values > MIN_CONDITION * values.max(initial=0.0)).sum()) if values.size else 0
+    return int((values > MIN_SINGULAR_VALUE_RATIO * values.max(initial=0.0)).sum()) if values.size else 0
 
 
 def _check_limits(tendon: Tendon) -> Mistakes:

@@ -20,7 +20,7 @@ SMALLEST_ARM_M = 1e-4
 """Smallest moment arm of a tendon [m]."""
 LARGEST_ARM_M = 0.05
 """Largest moment arm. Coefficients of fixed tendons of MJCF that are not in this range are not lengths."""
-ROUNDING = 1e-9
+ROUNDING_TOLERANCE = 1e-9
 """Tolerance for rounding in an axis or a rotation."""
 DECIMALS = 12
 """Decimals of a length, a mass or an inertia in SI units."""
@@ -41,7 +41,9 @@ MISSING_ARMS_COMMENT = (
     f"{UNMEASURED} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
 )
 """Comment of a tendon without moment arms."""
-SKELETON = "# The tendons below only stand for those of the hand: one for each {}. Add, remove and rename them.\n"
+PLACEHOLDER_TENDONS_COMMENT = (
+    "# The tendons below only stand for those of the hand: one for each {}. Add, remove and rename them.\n"
+)
 """Comment if the description has no tendons."""
 Z_AXIS = (0.0, 0.0, 1.0)
 """Axis of a hinge without ``joint_axis``."""
@@ -165,7 +167,7 @@ def described_text(described: Described, answers: TendonAnswers, options: str, c
     buses = _buses(described, tendons)
     parts = [_head(described, answers, max(buses.values(), default=0) + 1, can_fd)]
     if skeleton:
-        parts[0] = SKELETON.format("digit" if answers.tendons == "one" else "joint") + parts[0]
+        parts[0] = PLACEHOLDER_TENDONS_COMMENT.format("digit" if answers.tendons == "one" else "joint") + parts[0]
     common = _common_lines(described, answers)
     parts += [_section("default.digit", common)] if common else []
     largest = {tendon["tension_max"] for tendon in tendons}
@@ -284,9 +286,9 @@ def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_Line]:
         _Line("mount_rpy_deg", _degrees(digit.rotation)),
         _Line("link_length_m", _numbers(digit.lengths)),
     ]
-    if np.abs(digit.axes - Z_AXIS).max() > ROUNDING:
+    if np.abs(digit.axes - Z_AXIS).max() > ROUNDING_TOLERANCE:
         lines.append(_Line("joint_axis", _rows(digit.axes)))
-    if len(digit.turns) and np.abs(digit.turns - np.eye(3)).max() > ROUNDING:
+    if len(digit.turns) and np.abs(digit.turns - np.eye(3)).max() > ROUNDING_TOLERANCE:
         turned = ", ".join(["[0.0, 0.0, 0.0]", *(_degrees(turn) for turn in digit.turns)])
         lines.append(_Line("joint_rpy_deg", f"[{turned}]"))
     lines += [
@@ -311,9 +313,9 @@ def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_Line]:
     yield _Line("palm_mesh", quoted(mesh.file))
     if (mesh.scale != 1.0).any():
         yield _Line("palm_mesh_scale", _scale(mesh.scale))
-    if np.abs(mesh.position).max() > ROUNDING:
+    if np.abs(mesh.position).max() > ROUNDING_TOLERANCE:
         yield _Line("palm_mesh_position_m", _numbers(mesh.position))
-    if np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING:
+    if np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING_TOLERANCE:
         yield _Line("palm_mesh_rpy_deg", _degrees(mesh.rotation))
 
 
@@ -326,9 +328,9 @@ def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_Line]:
     yield _Line("link_mesh", f"[{', '.join(quoted(mesh.file) for mesh in shown)}]")
     if any((mesh.scale != 1.0).any() for mesh in shown):
         yield _Line("link_mesh_scale", f"[{', '.join(_scale(mesh.scale) for mesh in shown)}]")
-    if any(np.abs(mesh.position).max() > ROUNDING for mesh in shown):
+    if any(np.abs(mesh.position).max() > ROUNDING_TOLERANCE for mesh in shown):
         yield _Line("link_mesh_position_m", _rows(mesh.position for mesh in shown))
-    if any(np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING for mesh in shown):
+    if any(np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING_TOLERANCE for mesh in shown):
         yield _Line("link_mesh_rpy_deg", f"[{', '.join(_degrees(mesh.rotation) for mesh in shown)}]")
 
 

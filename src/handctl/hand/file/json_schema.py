@@ -16,7 +16,7 @@ from handctl.hand.file.templates import (
     WRITTEN_SCHEMA,
 )
 
-DRAFT = "http://json-schema.org/draft-07/schema#"
+SCHEMA_DRAFT = "http://json-schema.org/draft-07/schema#"
 """Version of JSON Schema that TOML editors support."""
 DEFINITIONS = {"digit": "Digit", "tendon": "Tendon", "motor": "Motor"}
 """Name of the definition of a section of each kind."""
@@ -60,7 +60,7 @@ def hand_schema() -> dict[str, Any]:
         properties[key] = _table_array_schema(kind, f"Values of each {kind} that names the template.")
     optional = (*DIGIT_KINDS, "sensor_node")
     schema["required"] = [key for key in schema["required"] if key not in optional]
-    return {"$schema": DRAFT, **_in_draft_vocabulary(schema), "title": "Hand file of handctl"}
+    return {"$schema": SCHEMA_DRAFT, **_in_draft_vocabulary(schema), "title": "Hand file of handctl"}
 
 
 def hand_schema_text() -> str:

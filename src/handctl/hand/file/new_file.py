@@ -21,7 +21,7 @@ TRIP_RATIO = 1.2
 """Trip limit divided by the largest commanded tension."""
 DRIVE_LIMIT_RATIO = 1.4
 """Tension at the drive's own torque limit divided by the largest commanded tension."""
-OBJECT_PER_DIGIT = 0.75
+OBJECT_DIAMETER_RATIO = 0.75
 """Smallest diameter of an object divided by the length of the digits.
 
 Around thinner objects the tips of opposed digits meet.
@@ -32,7 +32,7 @@ STRAIGHT_OBJECT_MM = 26.0
 """Smallest free distance between two facing digits of one link, for a grasp [mm]."""
 CLEARANCE_MM = 5.0
 """Space between the open digits and an object [mm]."""
-DIGIT_PER_PULLEY = 14.0
+DIGIT_LENGTH_RATIO = 14.0
 """Length of a digit divided by the moment arm at its joints. With this ratio digits of any length press equally."""
 SIDE_GAP_MM = 2.0
 """Space on each side of a digit [mm]."""
@@ -42,9 +42,9 @@ MOTORS_PER_BUS = 8
 """Largest number of motors on a bus. A classical bus of 1 Mbit/s carries 8 motors at 250 Hz."""
 SENSOR_IDS = {"mit": ("0x080", "0x1A0"), "odrive": ("0x700", "0x720")}
 """Identifiers of SYNC and of the first sensor frame. ODrive n has the identifiers 32 n to 32 n + 31."""
-FINGERS = ("index", "middle", "ring", "little")
+FINGER_NAMES = ("index", "middle", "ring", "little")
 """Names of the first digits of one side. Further digits are numbered."""
-LARGEST_COUNT = 8
+MAX_DIGITS_PER_SIDE = 8
 """Largest number of digits on a side."""
 
 
@@ -93,12 +93,12 @@ class HandAnswers:
     @property
     def spacious_palm(self) -> float:
         """Return the distance between the two sides for a thick object [mm]."""
-        return max(SMALLEST_OBJECT_MM, OBJECT_PER_DIGIT * self.digit_mm) + self.width_mm + CLEARANCE_MM
+        return max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_mm) + self.width_mm + CLEARANCE_MM
 
     @property
     def pulley(self) -> float:
         """Return the moment arm at the joints [mm], by default in proportion to the digits."""
-        return self.digit_mm / DIGIT_PER_PULLEY if self.pulley_mm is None else self.pulley_mm
+        return self.digit_mm / DIGIT_LENGTH_RATIO if self.pulley_mm is None else self.pulley_mm
 
 
 def check_answers(answers: HandAnswers) -> None:
@@ -109,8 +109,8 @@ def check_answers(answers: HandAnswers) -> None:
     """
     check_name(answers.name)
     for option, count in (("--fingers", answers.fingers), ("--opposed", answers.opposed)):
-        if not 0 <= count <= LARGEST_COUNT:
-            raise ConfigError(f"{count}", option, f"0 to {LARGEST_COUNT}")
+        if not 0 <= count <= MAX_DIGITS_PER_SIDE:
+            raise ConfigError(f"{count}", option, f"0 to {MAX_DIGITS_PER_SIDE}")
     if answers.fingers + answers.opposed == 0:
         raise ConfigError("no digit", "--fingers", "a digit at least")
     least = answers.width_mm + 2 * CLEARANCE_MM
@@ -174,7 +174,7 @@ def new_hand_text(answers: HandAnswers, options: Mapping[str, Any], can_fd: bool
 
 def _digit_names(answers: HandAnswers) -> list[tuple[str, int]]:
     """Return name and side of each digit. Opposed digits are on side 1."""
-    fingers = [FINGERS[i] if i < len(FINGERS) else f"finger_{i + 1}" for i in range(answers.fingers)]
+    fingers = [FINGER_NAMES[i] if i < len(FINGER_NAMES) else f"finger_{i + 1}" for i in range(answers.fingers)]
     opposed = ["thumb" if i == 0 else f"thumb_{i + 1}" for i in range(answers.opposed)]
     return [*((name, 0) for name in fingers), *((name, 1) for name in opposed)]
 

@@ -17,13 +17,13 @@ from handctl.hand.link_bodies import rotation_rpy
 
 PALM = "palm"
 """Name of the palm among the links."""
-LARGEST_M = 1.0
+LARGEST_EXTENT_M = 1.0
 """Largest extent of a mesh, and largest distance from the origin of its link [m]."""
-SMALLEST_M = 0.5e-3
+SMALLEST_EXTENT_M = 0.5e-3
 """Smallest extent of a mesh along its longest side [m]."""
-MILLIMETRE = 1e-3
+MILLIMETRE_SCALE = 1e-3
 """Scale of a mesh in millimetres."""
-MAX_FILE = 16 << 20
+MAX_FILE_BYTES = 16 << 20
 """Largest size of a mesh file [bytes]. A binary STL of the largest number of triangles has 10 MB."""
 
 
@@ -126,8 +126,8 @@ def _read_file(path: Path) -> bytes:
     try:
         if not path.is_file():
             raise ValueError("no such file; expected a file, relative to the hand file")
-        if path.stat().st_size > MAX_FILE:
-            raise ValueError(f"{path.stat().st_size / 1e6:.0f} MB; expected at most {MAX_FILE / 1e6:.0f} MB")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ValueError(f"{path.stat().st_size / 1e6:.0f} MB; expected at most {MAX_FILE_BYTES / 1e6:.0f} MB")
         return path.read_bytes()
     except OSError as error:
         raise ValueError(f"cannot be read: {error.strerror}; expected a readable file") from None
@@ -140,14 +140,16 @@ def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[Mistake]:
     far = float(np.abs(points).max())
     scale_key = mesh.key.rpartition(".")[2].partition("[")[0] + "_scale"
     largest = max(extent, far)
-    if not largest <= LARGEST_M:
-        what = f"{extent:.3g} m long" if extent > LARGEST_M else f"{far:.3g} m away from its link"
-        in_millimetres = largest * MILLIMETRE <= LARGEST_M and extent * MILLIMETRE >= SMALLEST_M
-        hint = f"; {scale_key} = {MILLIMETRE:g} if the mesh is in millimetres" if in_millimetres else ""
-        yield Mistake(f'"{mesh.file}": {what}', mesh.key, f"at most {LARGEST_M:g} m{hint}")
-    elif extent < SMALLEST_M:
+    if not largest <= LARGEST_EXTENT_M:
+        what = f"{extent:.3g} m long" if extent > LARGEST_EXTENT_M else f"{far:.3g} m away from its link"
+        in_millimetres = (
+            largest * MILLIMETRE_SCALE <= LARGEST_EXTENT_M and extent * MILLIMETRE_SCALE >= SMALLEST_EXTENT_M
+        )
+        hint = f"; {scale_key} = {MILLIMETRE_SCALE:g} if the mesh is in millimetres" if in_millimetres else ""
+        yield Mistake(f'"{mesh.file}": {what}', mesh.key, f"at most {LARGEST_EXTENT_M:g} m{hint}")
+    elif extent < SMALLEST_EXTENT_M:
         what = f"{extent:.3g} m long"
-        yield Mistake(f'"{mesh.file}": {what}', mesh.key, f"at least {SMALLEST_M:g} m; is {scale_key} right?")
+        yield Mistake(f'"{mesh.file}": {what}', mesh.key, f"at least {SMALLEST_EXTENT_M:g} m; is {scale_key} right?")
 
 
 def mesh_sizes(hand: Hand, folder: Path) -> dict[str, int]:

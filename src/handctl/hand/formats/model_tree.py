@@ -24,7 +24,7 @@ INTERSECTION_TOLERANCE_M = 1e-7
 """Largest distance of two joints whose axes meet [m]."""
 MIN_FLEXION_Y = 0.7
 """Smallest component along y of the tip's motion at which the last frame of a digit is not changed."""
-CLOSED_BELOW = 0.1
+NEGATIVE_FLEXION_RATIO = 0.1
 """Largest upper limit, as a fraction of the lower one, of a joint that flexes towards negative angles."""
 MIN_FORWARD_X = 0.7
 """Smallest component along x of the digits' directions at which a palm frame is not changed."""
@@ -32,7 +32,7 @@ MAX_MOUNT_OFFSET_M = 0.005
 """Largest distance of the foremost mount from the plane x = 0 at which a palm frame is not shifted [m]."""
 MAX_PARALLEL_SINE = 0.1
 """Largest sine of the angle between a joint's axis and its link that counts as a joint about the link."""
-TIP_NAME = re.compile(r"tip|end", re.IGNORECASE)
+TIP_NAME_PATTERN = re.compile(r"tip|end", re.IGNORECASE)
 """Pattern of the names of a frame at the end of a digit."""
 JOINT_SUFFIX = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNORECASE)
 """End of the name of a joint after the name of its digit."""
@@ -122,7 +122,7 @@ class ModelLink:
         axis = np.array(values["axis"], dtype=float)
         rest = float(values["rest"])
         limits = None if values["range"] is None else (float(values["range"][0]), float(values["range"][1]))
-        if limits is not None and limits[0] < 0.0 and limits[1] <= CLOSED_BELOW * -limits[0]:
+        if limits is not None and limits[0] < 0.0 and limits[1] <= NEGATIVE_FLEXION_RATIO * -limits[0]:
             limits = (-limits[1], -limits[0])
             axis = -axis
             rest = -rest
@@ -307,7 +307,7 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
     """
     link = links[i]
     away = {name: place for name, place in link.frames.items() if np.linalg.norm(place) > INTERSECTION_TOLERANCE_M}
-    named = [place for name, place in away.items() if TIP_NAME.search(name)]
+    named = [place for name, place in away.items() if TIP_NAME_PATTERN.search(name)]
     if named:
         return named[0]
     carried = [other.position for other in links if other.parent == i]

@@ -16,7 +16,7 @@ from handctl.hand.formats.meshes import LinkMesh
 from handctl.hand.formats.numbers import number_text, numbers_text
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rpy_of
 
-MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+INERTIA_INDICES = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Row and column of each value of URDF's inertia."""
 NO_MESHES: Mapping[str, LinkMesh] = {}
 """Meshes of a hand with primitive shapes."""
@@ -136,7 +136,7 @@ def _add_link(robot: ET.Element, digit: Digit, i: int, length: float, mesh: Link
     ET.SubElement(inertial, "origin", xyz=numbers_text(centre_of_mass(digit, i)), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=number_text(digit.link_mass_kg[i]))
     moments = link_inertia(digit, i)
-    values = {f"i{key}": number_text(moments[place]) for key, place in MOMENTS.items()}
+    values = {f"i{key}": number_text(moments[place]) for key, place in INERTIA_INDICES.items()}
     ET.SubElement(inertial, "inertia", values)
     if mesh:
         _add_mesh(link, mesh)

@@ -1,1 +1,1 @@
-"""CAN buses with non-blocking calls, one module per kind of bus."""
+"""CAN buses with non-blocking calls. Each kind of bus has a module."""

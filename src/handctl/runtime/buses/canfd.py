@@ -2,10 +2,10 @@
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
-The local bus sends this struct. A CAN socket receives a classical frame into its first 16 bytes. Ticks
-exchange the same identifiers, flags and lengths again and again. The converted heads of a batch are
-therefore cached, and a tick copies only payloads. A head is the first 8 bytes of a struct, or the 8
-bytes from identifier to length of a record. Source: Linux ``can.h``.
+The local bus sends this struct. A CAN socket receives a classical frame into its first 16 bytes.
+Ticks exchange the same identifiers, flags and lengths again and again. The converted heads of a
+batch are therefore cached, and a tick copies only payloads. A head is the first 8 bytes of a
+struct, or the 8 bytes from identifier to length of a record. Source: Linux ``can.h``.
 """
 
 import functools
@@ -27,7 +27,7 @@ MAX_PAYLOAD = 64
 """Payload of the longest frame [bytes]."""
 CACHED_BATCHES = 256
 """Number of batches whose heads are cached."""
-LONGEST_CACHED = 128
+MAX_CACHED_FRAMES = 128
 """Largest number of frames in a cached batch.
 
 The limit keeps a flood of frames from filling the memory.
@@ -62,7 +62,8 @@ class Received(NamedTuple):
     Attributes:
         heads: (n,) identifier, flags, bus and length of each record.
         words: number of 8-byte words for the longest payload, at least 1.
-        masks: bits of each payload, (n,) for one word and (n, words) for more. None if all payloads are full.
+        masks: bits of each payload, (n,) for one word and (n, words) for more. It is None if all
+            payloads are full.
         errors: True if there is an error frame among the structs.
     """
 
@@ -82,7 +83,8 @@ def _flag_table(mask: int, added: int) -> bytes:
 def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> Received:
     """Convert heads of structs to heads of records.
 
-    The conversion works on columns of bytes, which is faster than numpy for a batch that is not cached.
+    The conversion works on columns of bytes, which is faster than numpy for a batch that is not
+    cached.
     """
     # Bytes of a head in a struct:  can_id 0..3 | length 4 | flags 5 | reserved 6..7
     # Bytes of a head in a record:  can_id 0..3 | flags  4 | zero  5 | bus 6 | length 7
@@ -163,7 +165,7 @@ class Structs:
             flag_mask: mask of the flags to copy from the structs.
             added_flags: flags to set in every frame.
         """
-        convert = _convert_received if count <= LONGEST_CACHED else _convert_received.__wrapped__
+        convert = _convert_received if count <= MAX_CACHED_FRAMES else _convert_received.__wrapped__
         return convert(self._heads[:count].tobytes(), bus, flag_mask, added_flags)
 
     def reserved(self, at: int) -> int:
@@ -198,10 +200,12 @@ class Structs:
         """
         records = frames.records
         count = len(records)
-        convert = _convert_sent if count <= LONGEST_CACHED else _convert_sent.__wrapped__
+        convert = _convert_sent if count <= MAX_CACHED_FRAMES else _convert_sent.__wrapped__
         sent = convert(records.getfield(WORD, HEAD_AT).tobytes())
         self._heads[:count] = sent.heads
-        if sent.words < self._written:  # longer payloads of the batch before would show behind these
+        if (
+            sent.words < self._written
+        ):  # longer payloads of the batch before would remain
             self._data[:, sent.words :] = 0
         self._written = sent.words
         if sent.words == 1:

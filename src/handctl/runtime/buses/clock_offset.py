@@ -13,9 +13,9 @@ import time
 USES_PER_MEASUREMENT = 256
 """Number of uses of each measurement.
 
-A small step of the wall clock is noticed after at most this number.
+A small step of the wall clock is noticed after at most this number of uses.
 """
-TRIES = 3
+READINGS_PER_MEASUREMENT = 3
 """Number of clock readings per measurement."""
 
 
@@ -43,7 +43,7 @@ class ClockOffset:
 
         The fastest of several readings is used, because a reading may be interrupted.
         """
-        readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(TRIES)]
+        readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(READINGS_PER_MEASUREMENT)]
         before, wall, after = min(readings, key=_reading_duration)
         self._offset_ns = (before + after) // 2 - wall
         self._uses_left = USES_PER_MEASUREMENT

@@ -50,7 +50,7 @@ CLASS_NAMES = (
 OVERFLOW, TX_OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x03, 0x02, 0x0C, 0x30, 0x40
 """Masks for data[1] of a CONTROLLER error frame, each with the receive and the transmit bit.
 
-TX_OVERFLOW is the transmit bit of OVERFLOW. Source: Linux ``can/error.h``.
+TX_OVERFLOW is the transmit bit alone. Source: Linux ``can/error.h``.
 """
 
 
@@ -87,7 +87,7 @@ class BusEvents:
         if ERRNO_KINDS.get(code or 0) == "enodev":
             self.lasting(kind, True)
             return
-        if kind == "enetdown":  # an interface that is down has left the error states of its controller
+        if kind == "enetdown":  # the error states of the controller have ended when the interface is down
             self.lasting("bus_off", False)
             self.lasting("error_passive", False)
         self.add(kind, number)

@@ -8,11 +8,11 @@ import socket
 from handctl.runtime.buses.link import MTU_FD, Link, MissingTool, read_link
 
 Command = tuple[str, ...]
-"""Words of a shell command."""
+"""A shell command as a list of words."""
 QUEUE_LENGTH = 128
 """Length of the transmit queue [frames].
 
-The default of 10 is too short for one tick of a large hand.
+The default of 10 frames is too short for one tick of a large hand.
 """
 RESTART_MS = 100
 """Delay of the restart after bus-off [ms]."""

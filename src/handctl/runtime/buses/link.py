@@ -27,7 +27,8 @@ class Link(NamedTuple):
         state: state of the CAN controller, such as ``ERROR-ACTIVE``. Empty without a controller.
         sending: transmit error counter of the CAN controller.
         receiving: receive error counter of the CAN controller.
-        restart_ms: delay of the restart after bus-off [ms]. 0 for a restart by hand, None without a controller.
+        restart_ms: delay of the restart after bus-off [ms]. It is 0 for a manual restart, None
+            without a controller.
         counts: number of events by kind since the interface was created: bus_error, error_passive,
             bus_off, tx_dropped, ...
     """

@@ -25,7 +25,7 @@ from handctl.runtime.peers import is_served_by_us
 
 RECORD = struct.Struct("<IBBH64s")
 """One record: identifier with flag bits, length, flags, dropped frames modulo 65536, payload."""
-BUFFER = 1 << 20
+SOCKET_BUFFER_BYTES = 1 << 20
 """Size of the socket buffer requested for each direction [bytes]."""
 MAX_RECORDS = 4096
 """Largest number of records per read."""
@@ -38,7 +38,7 @@ A hub without a wire sends no report, and its clients have no queue.
 """
 QUEUE = struct.Struct("<II")
 """Payload of a queue report: number of this client's frames sent so far (modulo 2**32), queue capacity."""
-READS = 4
+MAX_READS = 4
 """Largest number of reads per drain. The limit keeps a flood of frames from delaying a tick."""
 CONNECT_TIMEOUT_S = 2.0
 """Longest wait for the hub [s]."""
@@ -53,7 +53,7 @@ def connect(name: str) -> socket.socket:
     path = local_bus_path(name)
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
-        link.setsockopt(socket.SOL_SOCKET, option, BUFFER)
+        link.setsockopt(socket.SOL_SOCKET, option, SOCKET_BUFFER_BYTES)
     link.settimeout(CONNECT_TIMEOUT_S)
     try:
         link.connect(str(path))
@@ -98,7 +98,7 @@ class LocalBus:
         self._buffer = memoryview(memory)
         self._structs = Structs(memory)
         self._allocate(SEND_RECORDS)
-        self._reads = min(READS, max_records)
+        self._reads = min(MAX_READS, max_records)
         self._partial = 0
         self._rest = b""
         self._dropped = 0
@@ -200,7 +200,7 @@ class LocalBus:
     def _frames_that_fit(self, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Return the leading frames that fit in the queue. The remaining frames are refused."""
         if len(frames) > self._free_queue_places():
-            self.early = self.drain()  # a queue report may have arrived meanwhile
+            self.early = self.drain()  # a queue report may have arrived since the last read
         free = self._free_queue_places()
         if len(frames) > free:
             self._events.add("enobufs", len(frames) - free)
@@ -249,12 +249,12 @@ class LocalBus:
         """Keep the unsent part of a partly sent record, and drop the records after it.
 
         Args:
-            waiting: unsent part of the batch before, and this batch.
+            waiting: unsent part of the batch before, followed by this batch.
             sent: number of bytes accepted by the socket.
             frames: number of frames in this batch.
 
         Returns:
-            the number of accepted frames. A partly sent frame counts.
+            the number of accepted frames. A partly sent frame counts as accepted.
         """
         before = len(self._rest)
         accepted = max(0, -((before - sent) // SIZE))  # rounded up

@@ -1,7 +1,8 @@
 """Many datagrams in one system call: ``sendmmsg`` and ``recvmmsg`` of Linux on reused buffers.
 
-The ``socket`` module of Python has no such call. One call per frame costs more than everything else in
-the exchange of a tick. Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
+The ``socket`` module of Python has no such call. One call per frame costs more than everything else
+in the exchange of a tick. Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3
+cmsg.
 """
 
 import ctypes
@@ -48,14 +49,15 @@ class _Header(ctypes.Structure):
 CONTROL = struct.Struct("@NiillNiiI12x")
 """Control messages of a datagram, in native layout.
 
-    length | level | SO_TIMESTAMPNS | s | ns | length | level | SO_RXQ_OVFL | dropped 32 | padding 12
+    length | level | SO_TIMESTAMPNS | s | ns | length | level | SO_RXQ_OVFL | dropped 32 | padding
+    12
 """
 STAMP_AT = struct.calcsize("@Nii")
 """Offset of the seconds in the control messages [bytes]. The nanoseconds come next."""
 STAMPED_LENGTH = struct.calcsize("@Niill")
 """Length of the control messages with a time stamp [bytes].
 
-With only a counter they are shorter.
+Control messages with only a counter are shorter.
 """
 COUNTED_LENGTH = struct.calcsize("@NiillNiiI")
 """Length of the control messages with time stamp and counter [bytes]."""
@@ -185,7 +187,8 @@ def send(fd: int, slots: Slots, first: int, end: int) -> tuple[int, int]:
     """Send the slots from ``first`` up to but not including ``end``, without blocking.
 
     Returns:
-        the number of accepted datagrams, and the errno for the first refused one (0 if all were accepted).
+        the number of accepted datagrams, and the errno for the first refused one (0 if all were
+        accepted).
     """
     at = first
     while at < end:

@@ -22,9 +22,9 @@ from handctl.runtime.buses.contract import Stamp
 from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.buses.interface import wrong_rate
 
-SLOTS = 128
+MAX_FRAMES_PER_CALL = 128
 """Largest number of frames per system call."""
-READS = 64
+MAX_READS = 64
 """Largest number of reads per drain. The limit keeps a flood of frames from delaying a tick."""
 RECEIVE_BUFFER = 4 << 20
 """Size of the receive buffer [bytes]."""
@@ -33,7 +33,7 @@ SEND_BUFFER = 32 << 10
 
 About 80 frames fit in the buffer.
 """
-AHEAD_NS = 20_000_000
+MAX_STAMP_STEP_NS = 20_000_000
 """Largest step between two time stamps accepted without reading the clock [ns].
 
 A larger step means silence on the bus, or a change of the wall clock. A smaller step of the wall
@@ -43,7 +43,7 @@ CAN_RAW_ERR_FILTER, ALL_ERRORS = 2, 0x1FFFFFFF
 """Source: Linux ``can/raw.h``, ``can/error.h``."""
 SIOCGIFFLAGS, SIOCGIFMTU, SIOCGIFTXQLEN, IFF_UP = 0x8913, 0x8921, 0x8942, 1
 """Source: Linux ``sockios.h``, ``if.h``."""
-QUEUE = 32
+MIN_QUEUE_FRAMES = 32
 """Shortest accepted transmit queue [frames]. 11 motors and SYNC are sent together, and the default length is 10."""
 
 
@@ -67,8 +67,8 @@ class SocketCanBus:
         self._fd_mode = fd_mode
         self._stamp = stamp
         self._events = BusEvents(name)
-        self._in = mmsg.Slots(SLOTS, SIZE, control=True)
-        self._out = mmsg.Slots(SLOTS, SIZE, control=False)
+        self._in = mmsg.Slots(MAX_FRAMES_PER_CALL, SIZE, control=True)
+        self._out = mmsg.Slots(MAX_FRAMES_PER_CALL, SIZE, control=False)
         self._structs = Structs(self._in.data)
         self._out_structs = Structs(self._out.data)
         self._dropped = 0
@@ -78,7 +78,7 @@ class SocketCanBus:
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
         parts: list[Frames] = []
-        for _ in range(READS):
+        for _ in range(MAX_READS):
             try:
                 count = mmsg.receive(self._socket.fileno(), self._in)
             except OSError as error:
@@ -87,7 +87,7 @@ class SocketCanBus:
             if count:
                 parts.append(self._convert_datagrams(count))
                 self._in.renew(count)
-            if count < SLOTS:
+            if count < MAX_FRAMES_PER_CALL:
                 break
         return join_frames(parts)
 
@@ -118,11 +118,11 @@ class SocketCanBus:
         earliest = self._latest
         first = min(each)
         last = max(each)
-        if not earliest <= first <= last <= earliest + AHEAD_NS:
+        if not earliest <= first <= last <= earliest + MAX_STAMP_STEP_NS:
             return None
         stamp = self._stamp
         start = stamp(first)
-        if stamp(last) - start == last - first:  # the run's time is not slowed
+        if stamp(last) - start == last - first:  # the run's time is neither scaled nor paused here
             times += start - first
         else:
             times = np.array([stamp(t_ns) for t_ns in each])
@@ -163,8 +163,8 @@ class SocketCanBus:
         """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
         frames = frames_as_records(frames)
         accepted = 0
-        for first in range(0, len(frames), SLOTS):
-            batch = frames[first : first + SLOTS] if len(frames) > SLOTS else frames
+        for first in range(0, len(frames), MAX_FRAMES_PER_CALL):
+            batch = frames[first : first + MAX_FRAMES_PER_CALL] if len(frames) > MAX_FRAMES_PER_CALL else frames
             self._out.set_lengths(self._out_structs.write(batch).sizes)
             sent, code = mmsg.send(self._socket.fileno(), self._out, 0, len(batch))
             accepted += sent
@@ -192,7 +192,7 @@ def _prepare(link: socket.socket) -> None:
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_TIMESTAMPNS, 1)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RXQ_OVFL, 1)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-    try:  # as root beyond net.core.rmem_max
+    try:  # only root may exceed net.core.rmem_max
         link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RCVBUFFORCE, RECEIVE_BUFFER)
     except PermissionError:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
@@ -240,7 +240,7 @@ def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
         return "the interface is down"
     if fd_mode and _read_interface_number(link, channel, SIOCGIFMTU) < SIZE:
         return "the interface is not in CAN FD mode"
-    if 0 < (length := _read_interface_number(link, channel, SIOCGIFTXQLEN)) < QUEUE:
+    if 0 < (length := _read_interface_number(link, channel, SIOCGIFTXQLEN)) < MIN_QUEUE_FRAMES:
         return f"its transmit queue holds {length} frames, less than a tick may send at once"
     return ""
 

@@ -1,9 +1,8 @@
 """Virtual time for lockstep: the loop advances the simulator tick by tick, without sleeping.
 
-The simulator is called the peer: an object with ``step(t_ns, frames) -> frames``. The peer is loaded
-by name, because handctl never imports a simulator. If the peer has
-``exchange(t_ns, records) -> records``, the loop calls this method instead, which avoids an object
-per frame.
+The simulator is called the peer: an object with ``step(t_ns, frames) -> frames``. The peer is
+loaded by name, because handctl never imports a simulator. If the peer has ``exchange(t_ns, records)
+-> records``, the loop calls this method instead, which avoids an object per frame.
 """
 
 import importlib
@@ -25,7 +24,7 @@ SIMULATED_HAND = "firmware_sim.rig:Rig"
 
 
 class Peer(Protocol):
-    """Simulator on the other side of the wire in lockstep."""
+    """Interface of a simulator in lockstep."""
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
         """Advance the simulator by one period with the host's frames of the tick at t_ns, and return its answers."""
@@ -45,11 +44,11 @@ def load_entry(entry: str, user: str) -> Callable[..., Any]:
     """Return a class or function of the simulator by its name ``module:name``.
 
     Args:
-        entry: its name.
-        user: what needs it, for the message.
+        entry: name of the class or function, ``module:name``. user: verb or function that needs it,
+            for the message.
 
     Raises:
-        ConfigError: it does not exist, or its optional package is not installed.
+        ConfigError: the class or function does not exist, or its optional package is not installed.
     """
     module, _, name = entry.partition(":")
     try:
@@ -135,7 +134,7 @@ class LockstepClock:
         return self.k * self.period_ns
 
     def facts(self) -> dict[str, str]:
-        """Return no facts: virtual time is the same in each run."""
+        """Return no facts, because virtual time is equal in each run."""
         return {}
 
 
@@ -153,7 +152,8 @@ class LockstepBus:
         """Return the answers of the simulator. Error frames become events."""
         frames = join_frames(self.clock.incoming)
         self.clock.incoming = []
-        # One OR over all identifiers: a tick without error frames needs no look at each frame.
+        # One OR over all identifiers shows if there is an error frame, so that usually no frame is
+        # examined.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR:
             return frames
         frames, errors = without_errors(frames.records)
@@ -168,7 +168,7 @@ class LockstepBus:
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        """Return the events of the simulated wires. A simulator without wires has none."""
+        """Return the events of the simulated wires. A simulator without wires has no events."""
         return [event for events in self._events.values() for event in events.take()]
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Real-time priority, locked memory and an awake processor for the control process."""
+"""Real-time priority, locked memory, and processors kept awake for the control process."""
 
 import os
 import sys
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 LATENCY_FILE = "/dev/cpu_dma_latency"
-"""File for the longest time in which an idle processor may wake up."""
+"""File of Linux that sets the longest time in which an idle processor must wake up."""
 NO_LATENCY = bytes(4)
 """Wake-up time of 0 us, as a 32-bit integer."""
 
@@ -34,8 +34,9 @@ class Priority:
 
 
 def take_priority(level: int = 60) -> Priority:
-    """Request SCHED_FIFO and locked memory. The result states refusals, and no error is raised."""
-    # Memory first: locking it fills hundreds of MB. Under SCHED_FIFO nothing else would get the core meanwhile.
+    """Request SCHED_FIFO and locked memory. Refusals are in the result. No error is raised."""
+    # The memory is locked first, because this fills hundreds of MB. Under SCHED_FIFO no other
+    # process would get the core during this time.
     locked = _lock_memory()
     return Priority(_enter_fifo(level), locked)
 
@@ -65,9 +66,9 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
 def awake_processors() -> Iterator[bool]:
     """Keep idle processors awake during a block. The value yielded is True if the system grants it.
 
-    An idle processor goes to sleep, and waking up takes it up to a millisecond, in a virtual machine most of
-    all. The system keeps all processors awake as long as a process has the file open with a latency of 0.
-    Source: Linux, Documentation/power/pm_qos_interface.
+    An idle processor sleeps, and takes up to a millisecond to wake up, above all in a virtual
+    machine. The system keeps all processors awake as long as a process has the file open with a
+    latency of 0. Source: Linux, Documentation/power/pm_qos_interface.
     """
     try:
         descriptor = os.open(LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)

@@ -89,7 +89,7 @@ class RealClock:
         early = deadline - self._read_ns() - (SPIN_NS if self.spin else 0)
         if early > 0:
             time.sleep(early / 1e9)
-        while (now := self._read_ns()) < deadline:  # sleep may return early, and the spin is here
+        while (now := self._read_ns()) < deadline:  # sleep may return early, so the loop also does the spinning
             if not self.spin:
                 time.sleep((deadline - now) / 1e9)
         return now - deadline

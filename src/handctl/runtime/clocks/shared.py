@@ -1,17 +1,17 @@
-"""A clock shared with the simulator of this machine, which pauses where the machine is too slow.
+"""Clock that controller and simulator of one machine share. It pauses when the machine is too slow.
 
 A simulated hand and its controller are two processes on one machine. The operating system may stop
-either of them for many milliseconds. On real hardware only the controller can be stopped, and a late
-tick is a fault. In a simulation such a stop says nothing about hand or controller. The shared clock
-therefore pauses in two cases:
+either process for many milliseconds. On real hardware only the controller can be stopped, and a
+late tick is a fault. In a simulation such a stop is no property of hand or controller. The shared
+clock therefore pauses in two cases:
 
 - The controller wakes up late. The clock continues from a short time after the deadline.
 - The simulator has not yet answered the frames of the tick before. The clock waits at that time.
 
-The time of both processes is CLOCK_MONOTONIC minus the sum of all pauses. The gate is the time at which
-the clock pauses, shortly after the next deadline. The controller moves the gate in every tick, and the
-simulator never advances beyond it. Both limits of a pause are short: a process that was killed, or stopped
-by a person, is noticed, as on a real bus.
+The time of both processes is CLOCK_MONOTONIC minus the sum of all pauses. The gate is the time at
+which the clock pauses, shortly after the next deadline. The controller moves the gate in every
+tick, and the simulator never advances beyond it. Both kinds of pause have short limits, so that a
+killed or stopped process leads to a fault, as on a real bus.
 
 The simulator creates a file with six 64-bit integers, and both processes map it:
 
@@ -35,16 +35,19 @@ GATE, PAUSED, SENT, ANSWERED, REACHED = 1, 2, 3, 4, 5
 COUNT = 6
 OPEN_GATE = 2**63 - 1
 """Gate of a simulator without a controller."""
-TOLERATED = 0.1
+TOLERATED_LATENESS = 0.1
 """Lateness without a pause, as a fraction of the control period."""
 CONTROLLER_LIMIT_NS = 100_000_000
-"""Longest lateness of the controller that becomes a pause [ns]. After it, the ticks are missed."""
+"""Longest lateness of the controller that becomes a pause [ns]. After a longer lateness ticks count as missed."""
 SIMULATOR_LIMIT_NS = 250_000_000
-"""Longest wait for the simulator [ns]. After it, the frames are missing, as on a real bus."""
+"""Longest wait for the simulator [ns]. After a longer wait the frames count as missing, as on a real bus."""
 POLL_S = 50e-6
-"""Time between two looks at the simulator [s]."""
-BEHIND_NS = 1_500_000
-"""Time by which a simulator that is not late may be behind the clock [ns of the run's time]. It advances each ms."""
+"""Time between two checks of the simulator's progress [s]."""
+MAX_LAG_NS = 1_500_000
+"""Time by which a simulator may be behind the clock without being late [ns of the run's time].
+
+The simulator advances every millisecond.
+"""
 
 
 class ClockFile:
@@ -71,7 +74,7 @@ class ClockFile:
             raise ValueError(f"{path}: version {self.numbers[0]}; expected {VERSION}")
 
     def close(self) -> None:
-        """Open the gate, so that the simulator continues alone, and unmap the file."""
+        """Remove the limit of the gate, so that the simulator continues without the controller, and unmap the file."""
         self.numbers[GATE] = OPEN_GATE
         self.numbers.release()
         self._map.close()
@@ -126,8 +129,8 @@ class SharedClock(RealClock):
         return self.file.numbers
 
     def _let_pass(self, k: int) -> None:
-        """Let the simulator advance to tick k, and no further."""
-        self._numbers[GATE] = self._deadline(k) + int(TOLERATED * self.period_ns / self.scale)
+        """Move the gate, so that the simulator may advance to tick k, and no further."""
+        self._numbers[GATE] = self._deadline(k) + int(TOLERATED_LATENESS * self.period_ns / self.scale)
 
     def _stop_at_gate(self) -> None:
         """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
@@ -139,8 +142,8 @@ class SharedClock(RealClock):
     def _wait_for_simulator(self, deadline: int) -> None:
         """Stop the clock at the gate until the simulator has answered the frames of the tick before.
 
-        A simulator that has not answered for ``SIMULATOR_LIMIT_NS`` is not waited for again until it
-        answers.
+        If the simulator has not answered for ``SIMULATOR_LIMIT_NS``, the clock does not wait for it
+        until it answers again.
         """
         numbers = self._numbers
         if numbers[ANSWERED] == self._given_up:
@@ -156,7 +159,7 @@ class SharedClock(RealClock):
     def _is_answered(self, deadline: int) -> bool:
         """Return True if the simulator has answered all frames, and is no step behind the deadline."""
         numbers = self._numbers
-        behind_ns = int(BEHIND_NS / self.scale)
+        behind_ns = int(MAX_LAG_NS / self.scale)
         return bool(numbers[ANSWERED] >= numbers[SENT] and numbers[REACHED] >= deadline - behind_ns)
 
     def _count_pause(self, pause_ns: int) -> None:

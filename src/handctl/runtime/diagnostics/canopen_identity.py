@@ -1,6 +1,6 @@
 """Identity of a CANopen drive, read object by object with the ``canopen`` library.
 
-Not used while a controller runs.
+This module is not used while a controller runs.
 
 The library opens the bus through python-can, and starts threads. Bus and threads are closed when
 ``identify_nodes`` returns.

@@ -11,18 +11,18 @@ from typing import NamedTuple
 
 from handctl.drives.contract import Drive, DriveTarget, Phase
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
-from handctl.runtime.diagnostics.torque_step import MOVED_RAD, STILL_RAD_S, brake_shaft, torque_step
+from handctl.runtime.diagnostics.torque_step import MAX_REST_VELOCITY_RAD_S, MOVED_RAD, brake_shaft, torque_step
 
-FRESH_NS = 50_000_000
+MAX_FEEDBACK_AGE_NS = 50_000_000
 """Largest age of fresh feedback [ns]."""
-LATE_OF_100 = 5
+MAX_LATE_TICKS_OF_100 = 5
 """Number of ticks of 100 in which feedback may be older, because other processes share the machine."""
 SILENCE_S = 0.3
 """Shortest silence in the check of the watchdog [s]."""
 COUNTED_TICKS = 60
 """Number of ticks to count answers, and to send torque commands to a disabled drive."""
-SECOND_DRIVE = 1.5
-"""Answers per request that prove a second drive. A single drive sends 1, two drives send 2."""
+MIN_ANSWERS_OF_TWO_DRIVES = 1.5
+"""Answers per request that prove a second drive. A single drive sends one answer, and two drives send two."""
 REPORTED_FRACTION = 0.3
 """Reported torque above which a command counts as obeyed, as a fraction of the command."""
 
@@ -71,7 +71,7 @@ class DeviceUnderTest(NamedTuple):
     watchdog_s: float
 
 
-Promise = Callable[[DeviceUnderTest], str]
+RequirementCheck = Callable[[DeviceUnderTest], str]
 """Function that checks a requirement and returns the observation.
 
 Raises Failed or NotApplicable.
@@ -86,31 +86,31 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """
     usable = True
     reversed_turn = False
-    for name, promise, turns in PROMISES:
+    for name, requirement, turns in REQUIREMENTS:
         if not usable or (turns and reversed_turn):
-            yield _not_run(device, name, promise)
+            yield _not_run(device, name, requirement)
             continue
-        check = _run_check(device, name, promise)
+        check = _run_check(device, name, requirement)
         yield check
         failed = check.verdict is CheckVerdict.FAILED
         reversed_turn |= turns and failed
-        usable = device.rig.rest() and not (failed and promise is _check_alone)
+        usable = device.rig.rest() and not (failed and requirement is _check_alone)
 
 
-def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> ConformanceCheck:
+def _not_run(device: DeviceUnderTest, name: str, requirement: RequirementCheck) -> ConformanceCheck:
     """Return the result for a check that cannot be run.
 
     If the drive is still enabled after the last check, it has not obeyed the command to disable.
     """
-    if promise is _check_disables and device.rig.state.phase == Phase.ENABLED:
+    if requirement is _check_disables and device.rig.state.phase == Phase.ENABLED:
         return ConformanceCheck(name, CheckVerdict.FAILED, "stays enabled after the disable command of another check")
     return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, "not run, because of what failed before")
 
 
-def _run_check(device: DeviceUnderTest, name: str, promise: Promise) -> ConformanceCheck:
+def _run_check(device: DeviceUnderTest, name: str, requirement: RequirementCheck) -> ConformanceCheck:
     """Run a check, and return its result."""
     try:
-        return ConformanceCheck(name, CheckVerdict.PASSED, promise(device))
+        return ConformanceCheck(name, CheckVerdict.PASSED, requirement(device))
     except Failed as failed:
         return ConformanceCheck(name, CheckVerdict.FAILED, str(failed))
     except NotApplicable as not_applicable:
@@ -147,7 +147,7 @@ def _check_alone(device: DeviceUnderTest) -> str:
         answers -= unasked
         requests = COUNTED_TICKS
         text = f"{answers} answers to {requests} requests"
-    if answers > SECOND_DRIVE * requests:
+    if answers > MIN_ANSWERS_OF_TWO_DRIVES * requests:
         raise Failed(f"{text}: another drive has the same number; give each a number of its own")
     return text
 
@@ -167,7 +167,7 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
     rig.keep(DriveTarget.POLL, 0.3)
     if rig.state.phase != Phase.READY:
         raise Failed(rig.state.error_text or f"went to {rig.state.phase.name}")
-    if math.isfinite(rig.velocity) and abs(rig.velocity) > STILL_RAD_S:
+    if math.isfinite(rig.velocity) and abs(rig.velocity) > MAX_REST_VELOCITY_RAD_S:
         raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
     seen = _check_ignores_torque(device)
     if rig.state.phase != Phase.READY:
@@ -215,14 +215,14 @@ def _check_feedback(device: DeviceUnderTest) -> str:
     ticks = 100
     ages = sorted(rig.t_ns - rig.tick(DriveTarget.ENABLE).feedback_t_ns for _ in range(ticks))
     count = rig.state.feedback_count - start
-    late = ages[-LATE_OF_100]
+    late = ages[-MAX_LATE_TICKS_OF_100]
     seen = f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
-    if count < 0.8 * ticks or late > FRESH_NS:
+    if count < 0.8 * ticks or late > MAX_FEEDBACK_AGE_NS:
         raise Failed(seen)
     return seen
 
 
-def _turn_check(sign: int) -> Promise:
+def _turn_check(sign: int) -> RequirementCheck:
     """Return the check that torque with this sign turns the shaft in the same direction."""
 
     def turns(device: DeviceUnderTest) -> str:
@@ -344,7 +344,7 @@ def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = No
     return True
 
 
-PROMISES: tuple[tuple[str, Promise, bool], ...] = (
+REQUIREMENTS: tuple[tuple[str, RequirementCheck, bool], ...] = (
     ("identifies itself, takes its settings and reads them back", _check_configures, False),
     ("is the only drive with its number", _check_alone, False),
     ("makes no torque until it is enabled", _check_no_torque_when_ready, False),

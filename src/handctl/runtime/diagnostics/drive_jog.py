@@ -1,7 +1,8 @@
 """Jog of one drive on a bench in torque, position or velocity mode, within limits of host and drive.
 
-The host ramps the command. It stops the drive as soon as the shaft turns too fast, leaves its travel, makes
-more torque than allowed, or is not heard. Nothing is enabled again after a stop.
+The host ramps the command. It stops the drive as soon as the shaft turns too fast or leaves its
+travel, or if the drive makes too much torque or sends no feedback. After a stop the drive is not
+enabled again.
 """
 
 import math
@@ -13,17 +14,17 @@ from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
 PERIOD_S = PERIOD_NS * 1e-9
 """Period of a tick [s]."""
-HOST_FRACTION = 0.8
-"""Speed and acceleration of the host's ramps as fractions of the limits, so that the drive's limits stay idle."""
+HOST_LIMIT_FRACTION = 0.8
+"""Speed and acceleration of the host's ramps as fractions of the limits, so that the drive's limits have no effect."""
 TORQUE_RAMP_S = 0.2
 """Duration of a ramp of the torque command from zero to the limit [s]."""
 OVERSPEED_FACTOR = 1.5
 """Measured speed that stops the jog, as a factor of the speed limit."""
 OVERSPEED_MARGIN_RAD_S = 0.5
-"""Measured speed beyond that factor, for the noise of a slow shaft [rad/s]."""
+"""Speed that is added to this limit, for the noise of a slow shaft [rad/s]."""
 OVERTORQUE_FACTOR = 1.5
 """Reported torque that stops the jog, as a factor of the torque limit."""
-TICKS_BEYOND = 4
+MAX_TICKS_BEYOND_LIMIT = 4
 """Ticks in a row with too much speed or torque before the stop."""
 SILENCE_NS = 100_000_000
 """Age of the feedback that stops the jog [ns]."""
@@ -52,7 +53,7 @@ class JogGoal(NamedTuple):
 
 
 class JogResult(NamedTuple):
-    """What the drive reported.
+    """Result of a motion, as the drive reported it.
 
     Attributes:
         failure: reason of an early stop in one line, empty for a complete motion.
@@ -94,7 +95,7 @@ def distance_at(t_s: float, distance: float, speed: float, acceleration: float) 
 
 
 class _Jog:
-    """Commands, guards and record of one motion."""
+    """Execution of one motion: commands, checks of the limits, and result."""
 
     def __init__(self, rig: DriveRig, goal: JogGoal) -> None:
         self._rig = rig
@@ -125,7 +126,8 @@ class _Jog:
         rig = self._rig
         if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
             return rig.state.error_text or f"stays in {rig.state.phase.name}"
-        # Feedback of the ready drive: a position from before the settings may have another scale.
+        # Feedback of the ready drive is used, because a position from before the settings may have
+        # another scale.
         rig.keep(DriveTarget.POLL, HOLD_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
@@ -149,7 +151,7 @@ class _Jog:
         """Ramp velocity or torque to zero, or hold the position, then measure. Returns a problem, empty without one."""
         ramp_s = 0.0
         if self._goal.mode == DriveMode.VELOCITY:
-            ramp_s = abs(self._command) / (HOST_FRACTION * self._goal.limits.acceleration)
+            ramp_s = abs(self._command) / (HOST_LIMIT_FRACTION * self._goal.limits.acceleration)
         elif self._goal.mode == DriveMode.TORQUE:
             ramp_s = TORQUE_RAMP_S
         for _ in range(math.ceil((ramp_s + HOLD_S) / PERIOD_S)):
@@ -162,15 +164,15 @@ class _Jog:
         goal = self._goal
         if not self._position_mode:
             return self._towards(goal.target)
-        speed = HOST_FRACTION * goal.limits.speed
-        return self._start + distance_at(t_s, goal.target, speed, HOST_FRACTION * goal.limits.acceleration)
+        speed = HOST_LIMIT_FRACTION * goal.limits.speed
+        return self._start + distance_at(t_s, goal.target, speed, HOST_LIMIT_FRACTION * goal.limits.acceleration)
 
     def _towards(self, target: float) -> float:
         """Return the command one step closer to a velocity or a torque."""
         goal = self._goal
         rate = goal.torque / TORQUE_RAMP_S
         if goal.mode == DriveMode.VELOCITY:
-            rate = HOST_FRACTION * goal.limits.acceleration
+            rate = HOST_LIMIT_FRACTION * goal.limits.acceleration
         step = rate * PERIOD_S
         return self._command + min(step, max(-step, target - self._command))
 
@@ -180,7 +182,7 @@ class _Jog:
         state = self._rig.tick(DriveTarget.ENABLE, command)
         if state.phase != Phase.ENABLED:
             return state.error_text or f"went to {state.phase.name}"
-        # The state is that before this tick, whose time has passed.
+        # The state is that of the last tick, so the age refers to the time of that tick.
         if self._rig.t_ns - state.feedback_t_ns > SILENCE_NS:
             return f"no feedback for {SILENCE_NS / 1e6:.0f} ms"
         return self._judge(state)
@@ -198,7 +200,7 @@ class _Jog:
         too_fast = speed > OVERSPEED_FACTOR * goal.limits.speed + OVERSPEED_MARGIN_RAD_S
         too_strong = torque > OVERTORQUE_FACTOR * goal.torque
         self._beyond = self._beyond + 1 if too_fast or too_strong else 0
-        if self._beyond < TICKS_BEYOND:
+        if self._beyond < MAX_TICKS_BEYOND_LIMIT:
             return ""
         if too_fast:
             return f"turns at {speed:.2f} rad/s, expected at most {goal.limits.speed:g}"
@@ -209,7 +211,7 @@ def jog_drive(rig: DriveRig, goal: JogGoal) -> JogResult:
     """Enable the drive, move it, and bring it to rest. The caller disables it.
 
     Args:
-        rig: of the drive in the mode of the goal.
+        rig: rig with the drive in the mode of the goal.
         goal: motion.
     """
     motion = _Jog(rig, goal)

@@ -41,7 +41,7 @@ class DriveRig:
             bus: open bus of the drive.
             clock: clock with period PERIOD_NS, not started yet.
         """
-        prepare()  # otherwise the first command compiles, and the watchdog of the drive expires meanwhile
+        prepare()  # otherwise the first command would be compiled, and the watchdog of the drive would expire
         self.drive = drive
         self._bus = bus
         self._clock = clock

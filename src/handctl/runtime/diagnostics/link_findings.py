@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from handctl.runtime.buses.adapter import Adapter
 from handctl.runtime.buses.link import Link
-from handctl.runtime.buses.socketcan import QUEUE, setup_command
+from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES, setup_command
 
 # Rules for udev, which keep the setting after a restart of the machine. Source: man 7 udev.
 UDEV_QUEUE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
@@ -24,7 +24,7 @@ FULL_SPEED_HZ = 333
 
 Source: docs/how-to/adapters.md.
 """
-HARMLESS = {"arbitration_lost"}
+HARMLESS_COUNTERS = {"arbitration_lost"}
 """Names of counters that also increase on a healthy bus."""
 
 
@@ -32,7 +32,7 @@ class LinkFinding(NamedTuple):
     """One finding about an interface.
 
     Attributes:
-        observation: what was found.
+        observation: text of the finding.
         good: True if nothing needs to be corrected.
         fix: command or advice to correct the problem.
         fatal: True if the bus cannot be used.
@@ -70,7 +70,7 @@ def interface_findings(name: str, link: Link, bitrate: int, data_bitrate: int | 
         if link.kind == "can":
             result.append(_rate_finding("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up))
     queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE.format(name)}"
-    result.append(LinkFinding(f"transmit queue of {link.queue} frames", link.queue >= QUEUE, queue))
+    result.append(LinkFinding(f"transmit queue of {link.queue} frames", link.queue >= MIN_QUEUE_FRAMES, queue))
     return [*result, *_controller_findings(name, link), *_counter_findings(link)]
 
 
@@ -129,6 +129,6 @@ def _controller_findings(name: str, link: Link) -> list[LinkFinding]:
 def _counter_findings(link: Link) -> list[LinkFinding]:
     """Return the findings about the event counters of an interface."""
     counted = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
-    bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS)
+    bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS_COUNTERS)
     fix = f"since it was created; {WIRING}; repeat this check after a run"
     return [LinkFinding("counted: " + (", ".join(counted) or "no errors"), not bad, fix)]

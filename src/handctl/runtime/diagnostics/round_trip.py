@@ -12,7 +12,7 @@ REQUESTS = 20
 """Number of requests."""
 ANSWER_S = 0.1
 """Longest wait for an answer [s]."""
-SECOND_S = 0.005
+SECOND_ANSWER_WAIT_S = 0.005
 """Wait for a second answer after the first [s]."""
 
 
@@ -25,7 +25,8 @@ class RoundTrip(NamedTuple):
         shortest: shortest round-trip time [s], NaN without an answer.
         median: median round-trip time [s], NaN without an answer.
         longest: longest round-trip time [s], NaN without an answer.
-        twice: number of requests with more than one answer. A second drive with the same number answers too.
+        twice: number of requests with more than one answer. A second drive with the same number
+            answers too.
     """
 
     answers: int
@@ -57,16 +58,18 @@ def _measure_once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
     The time is None if no answer arrives.
     """
     discovery = DISCOVERIES[node.protocol]
-    bus.drain()  # a late reply to the request before must not count
+    bus.drain()  # a late reply to the request before is not used
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
     first = None
     answers = 0
-    while (passed := time.perf_counter() - start) < (ANSWER_S if first is None else first + SECOND_S):
+    while (passed := time.perf_counter() - start) < (ANSWER_S if first is None else first + SECOND_ANSWER_WAIT_S):
         answers += sum(discovery.is_ping_reply(node, frame) for frame in bus.drain())
         if answers and first is None:
             first = time.perf_counter() - start
         if answers > 1:
             break
-        time.sleep(0.0001 if passed < 0.01 else 0.002)  # often at first for accuracy, then rarely, to use less CPU time
+        time.sleep(
+            0.0001 if passed < 0.01 else 0.002
+        )  # often at first for accuracy, then rarely to save CPU time
     return first, answers > 1

@@ -23,9 +23,7 @@ TRIES = 50
 
 
 IGNORED_FRAMES = 1
-"""Number of frames from another host to ignore.
-
-A host that has just ended may have sent such frames.
+"""Number of frames from another host that are ignored. A host that has just ended may have sent them.
 """
 Listen = Callable[[Bus, float, list[Frame]], None]
 """Function that collects the frames received on a bus during a time [s]."""

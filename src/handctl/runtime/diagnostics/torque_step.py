@@ -19,11 +19,11 @@ RAMP_S = 1.0
 """Duration of the ramp to the torque limit [s]."""
 COAST_TICKS = 12
 """Number of ticks until the measured velocity shows the whole effect of a torque pulse."""
-STILL_RAD_S = 0.1
+MAX_REST_VELOCITY_RAD_S = 0.1
 """Largest velocity of a shaft at rest [rad/s]."""
-BRAKE_S = 4.0
+MAX_BRAKE_S = 4.0
 """Longest duration of braking [s]."""
-SLOWING_S = 0.2
+BRAKE_TIME_CONSTANT_S = 0.2
 """Time constant of the brake, far longer than the delay of the measured velocity [s]."""
 
 
@@ -71,7 +71,7 @@ def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
     reported = rig.state.torque
     rig.keep(DriveTarget.ENABLE, COAST_TICKS * PERIOD_S)
     gained = rig.velocity - (coasting if math.isfinite(coasting) else 0.0)
-    if impulse * gained > 0.0:  # angular impulse [N m s] over the change of velocity
+    if impulse * gained > 0.0:  # the inertia is the angular impulse [N m s] divided by the change of velocity
         rig.inertia = impulse / gained
     return TorqueStep(moved, torque, reported, True)
 
@@ -85,12 +85,12 @@ def brake_shaft(rig: DriveRig, limit: float) -> bool:
         rig: rig with an enabled drive.
         limit: largest torque [N m].
     """
-    gain = rig.inertia / SLOWING_S if math.isfinite(rig.inertia) else 0.0
+    gain = rig.inertia / BRAKE_TIME_CONSTANT_S if math.isfinite(rig.inertia) else 0.0
     still = 0
-    for _ in range(round(BRAKE_S / PERIOD_S)):
+    for _ in range(round(MAX_BRAKE_S / PERIOD_S)):
         speed = rig.velocity
-        still = still + 1 if abs(speed) < STILL_RAD_S else 0
+        still = still + 1 if abs(speed) < MAX_REST_VELOCITY_RAD_S else 0
         if still > COAST_TICKS:
             return True
         rig.tick(DriveTarget.ENABLE, max(-limit, min(limit, -gain * speed)) if math.isfinite(speed) else 0.0)
-    return not abs(rig.velocity) > STILL_RAD_S
+    return not abs(rig.velocity) > MAX_REST_VELOCITY_RAD_S

@@ -1,7 +1,8 @@
 """Watch of the drives, load cells and joint encoders of a hand: readings without torque.
 
-Every drive is polled as in the mode READY of a run: it is configured, its settings are read back, and its feedback
-is requested. No function here requests ENABLE, and ``DriveTarget.POLL`` disables a drive that is enabled.
+Every drive is polled as in the mode READY of a run: it is configured, its settings are read back,
+and its feedback is requested. No function here requests ENABLE, and ``DriveTarget.POLL`` disables a
+drive that is enabled.
 """
 
 import math
@@ -19,7 +20,7 @@ from handctl.runtime.clocks.real import Clock
 from handctl.runtime.diagnostics.scan import receive_for
 
 LISTEN_S = 0.5
-"""Time of listening before the first frame is sent, to detect another host [s]."""
+"""Time before the first frame is sent, in which another host is detected [s]."""
 STALE_S = 0.5
 """Age after which a reading is no longer shown [s]."""
 
@@ -131,7 +132,7 @@ class BusWatch:
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)
             if group in self.sensors.group_ranges[i] and self.amplifiers[i].phase != Phase.READY:
-                return  # the unit of its readings is not known yet
+                return  # before the set-up the unit of the readings is unknown
         if group < 0:
             for n, drive in enumerate(self.drives):
                 self.states[n] = drive.receive(self.states[n], frame)

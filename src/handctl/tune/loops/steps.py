@@ -14,7 +14,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
-from handctl.programs.exercise import HOME_RAD, Exercise, ExerciseStage
+from handctl.programs.exercise import HOME_ANGLE_RAD, Exercise, ExerciseStage
 from handctl.report.truth import TruthRecord
 from handctl.tune.loops.design import distinct_tendons, linear_factors, weakest_plant
 from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, open_loop
@@ -53,8 +53,8 @@ class Steps(Exercise):
     def stages(self) -> tuple[ExerciseStage, ...]:
         """Return all stages in order."""
         return (
-            ExerciseStage("settle", 0.5, HOME_RAD),
-            ExerciseStage("move", 0.1 + REST_S, HOME_RAD + STEP_RAD, rest=REST_S),
+            ExerciseStage("settle", 0.5, HOME_ANGLE_RAD),
+            ExerciseStage("move", 0.1 + REST_S, HOME_ANGLE_RAD + STEP_RAD, rest=REST_S),
             ExerciseStage("close", 0.8, tension=HOLD_TENSION_N),
             ExerciseStage("hold", REST_S, tension=HOLD_TENSION_N + STEP_N),
         )
