@@ -92,10 +92,10 @@ def connect(
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus
             ``"--yes"`` confirms that the hand may move.
         lease_s: lease in the time of the hand [s], 0.2 to 3600. A thread of the client renews it.
-            None: the hand keeps the last goal without a time limit.
+            With None the hand keeps the last goal without a time limit.
         watchdog_s: longest time between two calls of the client or targets of a stream [s]. After a
             longer time the lease is not renewed, so that a program that hangs loses the hand as
-            well. None: any time.
+            well. With None any time is allowed.
 
     Raises:
         ConfigError: invalid bus, lease or watchdog, or a real bus without a hand.
