@@ -23,7 +23,7 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.runtime.mailbox import STOP
 from handctl.session.simulate import Simulation, Simulator
-from tests.faults.test_relaxing import judge
+from tests.faults.test_relaxing import check_relaxing
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20) if NIGHTLY else range(2)
@@ -163,7 +163,7 @@ def test_relaxing_from_a_position_loop_raises_no_command(fault: str, seed: int) 
         assert (stiffness_sent(run) > 0.0).any()
         if fault:
             run.peer.inject(fault)
-        judge(run, run.k + 40, round(0.06 * RATE_HZ), fault)
+        check_relaxing(run, run.k + 40, round(0.06 * RATE_HZ), fault)
 
 
 def lose_gains(run: Simulation, name: str) -> None:

@@ -316,7 +316,7 @@ def test_stop_names_a_drive_that_stays_on(place, capsys):
 @pytest.fixture
 def short_confirmation_wait(monkeypatch):
     """Shorten the wait for a confirmation to a fifth."""
-    monkeypatch.setattr("handctl.runtime.confirm.ANSWER_S", 0.4)
+    monkeypatch.setattr("handctl.runtime.confirm.CONFIRMATION_TIMEOUT_S", 0.4)
 
 
 def test_stop_is_unconfirmed_if_the_controller_falls_silent(place, short_confirmation_wait, capsys):

@@ -203,7 +203,7 @@ def test_a_fault_between_two_calls_is_reported_at_the_end(place, hand, calibrate
 
 @REALTIME
 def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, monkeypatch, scale):
-    monkeypatch.setattr("handctl.client.hand.ATTACH_S", 1.0)
+    monkeypatch.setattr("handctl.client.hand.ATTACH_TIMEOUT_S", 1.0)
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
     processes.append(process)
     watcher = Watcher(BUS)
