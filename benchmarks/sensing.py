@@ -111,7 +111,7 @@ def run(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") ->
     record = SensingRun()
     names = model.hand.digit_names
     with Simulator(model.hand, scene, seed, homed=True).against(homed_controller(model, TaskProgram(task))) as run:
-        run.keep = False
+        run.record = False
         plant = run.peer.world.plant
         if fault:
             run.peer.inject(fault)

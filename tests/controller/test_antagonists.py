@@ -84,7 +84,7 @@ def ticks_of(
     controller = make_controller(hand or n_plus_1(), Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = Simulation.of(controller, peer)
     run.k = first
-    run.keep = False
+    run.record = False
     run.state.set_whole(s.K, first - 1)
     return run, (None for _ in run.ticks(first / RATE_HZ + 120.0))
 

@@ -88,7 +88,7 @@ def run_without_sensors(
     """Run a program on a homed hand without sensors. The faults have their times."""
     rows = BlindRun()
     with Simulator(without(), scene, seed, homed=True).against(homed_controller(model_of(), program)) as run:
-        run.keep = False
+        run.record = False
         for fault in faults:
             run.peer.inject(fault)
         for _, out in run.ticks(limit_s):

@@ -20,7 +20,7 @@ def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     """Build a hand that closes on a cylinder. Tendons are slack, then taut. Motors follow a torque or a position."""
     plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
     if not native:
-        plant._native = None
+        plant._addresses = None
     for i, motor in enumerate(plant.motors.values()):
         motor.servo.limit, motor.servo.torque, motor.omega = 0.8, 0.05 + 0.02 * i, 3.0 * (-1) ** i
         if i % 2:

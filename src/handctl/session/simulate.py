@@ -153,7 +153,7 @@ class Simulation:
         k: number of the next tick.
         out: output of the last tick, or None before the first tick.
         recorded: input and output of every tick, if ``record`` is True.
-        keep: True to store the input and output of every tick.
+        record: True to store the input and output of every tick.
     """
 
     controller: Controller
