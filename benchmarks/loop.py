@@ -186,6 +186,9 @@ def show(result: dict) -> None:
     for name, label in (("ours", "handctl"), ("bare_spin", "bare sleep and spin")):
         print(f"  {label:<24}" + "".join(f"{value:8.1f}" for value in loaded[name].values()))
     for rate, row in result["at_rate"].items():
+        if "tick_us" not in row:
+            print(f"11 motors at {rate:g} Hz: the run did not become active")
+            continue
         tick = row["tick_us"]
         print(
             f"11 motors at {rate:g} Hz: {100 * row['cpu']:.0f} % of a core, {100 * row['missed']:.2f} % missed, "

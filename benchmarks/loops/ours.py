@@ -14,7 +14,7 @@ from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import Progress, motion_to
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clocks.priority import take_priority
+from handctl.runtime.clocks.priority import awake_processors, take_priority
 from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.loop import Loop
 from handctl.runtime.mailbox import STOP
@@ -91,7 +91,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     took = []
     loop = Loop(
         clock, plan.period_ns, [bus], lambda state, entry: TimedTick(controller, state, entry, took), cut,
-        counter.requests, lambda: list(recorder.events()), record, counter,
+        counter.requests, lambda: list(recorder.events()), record, counter, urgent=awake_processors,
     )  # fmt: skip
     state = loop.run(controller.initial())
     recorder.close("done")
