@@ -9,7 +9,7 @@ from pathlib import Path
 from fuzz.drives import DRIVES
 
 OUTPUT_FOLDER = Path("build/fuzz")
-DONE = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) taken)?")
+DONE = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) inputs accepted)?")
 COVERED = re.compile(r"cov: (\d+) ft: (\d+)")
 NAMES = (*DRIVES, "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
          "log", "log-bytes", "request", "fault")  # fmt: skip

@@ -84,7 +84,8 @@ def main() -> None:
     inputs = changed_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
     number, taken = fuzz(TARGETS[name](folder), inputs, Path(crashes), float(seconds), int(runs))
     took = round(time.monotonic() - start)
-    print(f"Done {number} runs in {took} second(s), {taken} taken, from {len(corpus_inputs)} kept", file=sys.stderr)
+    count = len(corpus_inputs)
+    print(f"Done {number} runs in {took} second(s), {taken} inputs accepted, corpus of {count} inputs", file=sys.stderr)
 
 
 if __name__ == "__main__":

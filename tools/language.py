@@ -241,7 +241,8 @@ def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--table", action="store_true", help="print all counts")
     parser.add_argument("--places", nargs=2, metavar=("COUNT", "FOLDER"), help="print where a count comes from")
-    parser.add_argument("--tighten", action="store_true", help="lower the limits to the current counts")
+    tighten = "lower the limit of each rule to its present number of findings"
+    parser.add_argument("--tighten", action="store_true", help=tighten)
     args = parser.parse_args(words)
     tallies = count_all(ROOT)
     if args.table:

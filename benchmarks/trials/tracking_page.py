@@ -140,7 +140,8 @@ def _steps(laws: dict) -> str:
         if not np.isfinite(new["rmse_deg"]):
             texts.append(f"'{law}': a fault ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})")
             continue
-        some = f", {new['ended']} of {new['seeds']} runs ended ({'; '.join(new['why'])})" if new["ended"] else ""
+        ended = f", a fault ended {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})"
+        some = ended if new["ended"] else ""
         if not np.isfinite(old["rmse_deg"]):
             error = f"an error of {new['rmse_deg']:.3f} deg"
             texts.append(f"'{law}': {error}. All runs of the rows before ended early{some}")

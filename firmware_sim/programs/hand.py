@@ -65,7 +65,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--truth", type=Path, metavar="FILE", help="file for the true state of the plant (in the run directory)")
     add("--json", action="store_true", help="print the line with the word ready as JSON")
     add("--dry-run", action="store_true", help="check all arguments and exit without opening a bus")
-    add("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire of a local bus with its timing (off)")
+    wire = "simulate bit rate and queues of the CAN wire on a local bus (default: off)"
+    add("--wire", nargs="*", metavar="KEY=VALUE", help=wire)
     add("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR",
         help="multiply plant parameters by factors")  # fmt: skip
     text = "serial number of all drives, to which each adds its node number, or of one motor"

@@ -137,7 +137,7 @@ def _turned(start: Vector, end: Vector, fraction: float) -> Vector:
     mixed = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
     length = math.hypot(*mixed)
     target_length = math.hypot(*end)
-    # Opposite vectors at one half have no direction: no great circle is singled out.
+    # Halfway between two opposite vectors no direction is defined: many great circles pass through both.
     if length < 1e-9 or target_length == 0.0:
         return mixed[0], mixed[1], mixed[2]
     return _scaled((mixed[0], mixed[1], mixed[2]), target_length / length)

@@ -77,7 +77,7 @@ def test_fuzzing_without_an_accepted_input_is_a_failure(tmp_path: Path, monkeypa
     assert blind.fuzz(lambda data: data > b"b", iter([b"a", b"b", b"c"] * 100), tmp_path, 0.0, 256) == (256, 85)
     monkeypatch.chdir(tmp_path)
     for taken, accepted in ((0, False), (64, True)):
-        summary = f"Done 256 runs in 2 second(s), {taken} taken, from 3 kept"
+        summary = f"Done 256 runs in 2 second(s), {taken} inputs accepted, corpus of 3 inputs"
         done = subprocess.CompletedProcess([], 0, "", summary)
         monkeypatch.setattr(subprocess, "run", lambda *words, done=done, **more: done)
         line, good = fuzzed("log", 0, 256, blind=True)

@@ -368,7 +368,7 @@ class HandClient:
         while seen.phase != hold:
             if seen.phase == "live" or time.monotonic() > end:
                 raise DriveError(
-                    f"no hold: the hand is in phase {seen.phase!r}", f"task {found.name}"
+                    f"the hand does not hold an object: it is in phase {seen.phase!r}", f"task {found.name}"
                 )
             seen = self.observe(wait=True)
         return seen

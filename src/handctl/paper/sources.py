@@ -47,7 +47,8 @@ def paper_thumb() -> Digit:
 
 
 def millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
-    """Return lengths from a hand file as exact numbers [mm]. The file has decimal numbers."""
+    """Return lengths from a hand file as exact numbers [mm]. The file writes decimal numbers, so the
+    conversion loses nothing."""
     return tuple(1000 * Fraction(str(length)) for length in lengths_m)
 
 

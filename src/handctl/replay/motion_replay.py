@@ -57,7 +57,7 @@ def count_missing_ticks(log: RunLog) -> int:
     at = np.flatnonzero((times >= start) & (times < end))
     for i in at[times[at + 1] - times[at] > MAX_GAP_S]:
         gap = f"no ticks between {times[i]:.3f} and {times[i + 1]:.3f} s"
-        raise LogError(gap, "the log", f"gaps of at most {MAX_GAP_S:g} s in the driven part")
+        raise LogError(gap, "the log", f"gaps of at most {MAX_GAP_S:g} s in the part of the log that is repeated")
     return int((log.k[at + 1] - log.k[at] - 1).sum())
 
 

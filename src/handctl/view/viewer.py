@@ -210,7 +210,7 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
     """Wait for the viewer's address in its output, and return the address.
 
     Raises:
-        HandctlError: the viewer ended, or does not listen after `START_S`.
+        HandctlError: the viewer ended, or has not opened its port within `START_S`.
     """
     remaining = START_S
     while remaining > 0:
@@ -227,4 +227,4 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
         if process.returncode is not None:
             last = text.decode(errors="replace").strip().splitlines()[-1:] or ["no output"]
             raise HandctlError(f"the viewer ended with code {process.returncode}: {last[0]}", "rerun", "")
-    raise HandctlError(f"the viewer does not listen after {START_S:g} s", "rerun", "")
+    raise HandctlError(f"the viewer has not opened its port within {START_S:g} s", "rerun", "")

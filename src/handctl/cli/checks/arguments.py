@@ -90,7 +90,7 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
     add("--yes", action="store_true", help="do not ask: options that are not given have their default, or 'TODO'")
     add("--name", help="name of the hand (default: mine)")
     add("--fingers", type=int, metavar="N", help="digits on one side (default: 2)")
-    add("--opposed", type=int, metavar="N", help="digits on the other side, which close against them (default: 1)")
+    add("--opposed", type=int, metavar="N", help="digits, such as a thumb, that close against the fingers (default: 1)")
     add("--links", type=_parse_lengths, dest="links_mm", metavar="MM,MM", help="length of each link (default: 40,30)")
     add("--width", type=float, dest="width_mm", metavar="MM", help="width of the links (default: 12)")
     text = "distance between the two sides (default: computed from the links)"

@@ -82,7 +82,8 @@ def _declare_sequences(parser: argparse.ArgumentParser) -> None:
     add_hand_option(parser)
     add_json_option(parser)
     parser.add_argument("--protocol", default="mit", choices=GUARDED, help="protocol of the drives (default: mit)")
-    parser.add_argument("--count", type=int, default=30, metavar="N", help="number of sequences (default: 30)")
+    count = "number of random fault sequences (default: 30)"
+    parser.add_argument("--count", type=int, default=30, metavar="N", help=count)
     text = "random seed of the first sequence, each further one adds 1 (default: 1)"
     parser.add_argument("--seed", type=int, default=1, help=text)
     add_jobs_option(parser, 2, "number of sequences at a time")

@@ -40,7 +40,7 @@ def detect_unsolicited_replies(
     surplus = state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus):
-        # 1 means a reply without a request. A larger number is that of replies to one request.
+        # 1 means a reply without a request. A larger number counts the replies to one request.
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:

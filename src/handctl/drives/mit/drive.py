@@ -372,7 +372,7 @@ class MitDrive:
         return fresh, (self._frame(codec.special_command(codec.CLEAR)),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame, because the watchdog of a disabled motor is inactive."""
+        """Return no frame. A disabled motor has no active watchdog, so its release needs no frame."""
         return ()
 
     def identity(self, state: DriveState) -> str:

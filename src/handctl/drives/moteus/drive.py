@@ -403,7 +403,7 @@ class MoteusDrive:
         return fresh, self.cut()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame, because the watchdog of a stopped drive is inactive."""
+        """Return no frame. A stopped drive has no active watchdog, so its release needs no frame."""
         return ()
 
     def identity(self, state: DriveState) -> str:

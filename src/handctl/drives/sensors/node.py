@@ -48,8 +48,8 @@ LOW_MARGIN_N = 2.0
 """Distance from the lower end of the range to the threshold for a broken load cell [N]."""
 # Smallest and largest valid reading of a load cell without tension [N].
 #
-# Below, noise reaches the end of the range, and a broken wire looks like a slack tendon. Above, the
-# range ends below ``tension_rail``.
+# At a smaller reading, noise would reach the end of the range, and a broken wire would look like a slack
+# tendon. At a larger reading, the range above the tare would end before ``tension_rail``.
 TARE_MIN_N = TENSION_ZERO_N + LOW_MARGIN_N
 TARE_MAX_N = 6.0
 TENSION_RAIL_N = TENSION_MAX_N - TARE_MAX_N

@@ -312,7 +312,7 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
         return named[0]
     carried = [other.position for other in links if other.parent == i]
     if carried:
-        # The end of a link that carries digits is not used. It must only differ from the joint.
+        # A link that carries digits has no fingertip, so its end is not used. It must only differ from the joint.
         return (
             np.mean(carried, axis=0)
             if np.linalg.norm(np.mean(carried, axis=0)) > INTERSECTION_TOLERANCE_M

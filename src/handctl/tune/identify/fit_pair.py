@@ -301,7 +301,7 @@ class PairProblem:
         return np.where(signed, -np.inf, MIN_SCALE), np.where(signed, np.inf, MAX_SCALE)
 
     def with_noise_of(self, z: Array) -> "PairProblem":
-        """Return the problem with noise estimated from the median of its residuals."""
+        """Return the fit problem with a noise level estimated from the median of the residuals."""
         w = self.windows
         rest = (self.measured_tension(z) - self.free_tension(z))[w.free]
         size = 1.48 * float(np.median(np.abs(rest))) if len(rest) else self.motor_noise
