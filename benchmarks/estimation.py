@@ -70,7 +70,7 @@ SCENE = "cylinder"
 ESTIMATORS = ("filtered", "raw", "estimate", "raw now", "average", "cell alone")
 
 
-RATIOS = (
+RATIO_COLUMNS = (
     ("filtered", "limit"),
     ("filtered", "raw"),
     ("estimate", "limit now"),
@@ -170,7 +170,7 @@ def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
         row["whiteness"] = float(
             np.mean([row["innovation lag 1"] for row in seeds]) / np.mean([row["innovation"] for row in seeds])
         )
-        row |= {f"{column} / {other}": row[column] / row[other] for column, other in RATIOS}
+        row |= {f"{column} / {other}": row[column] / row[other] for column, other in RATIO_COLUMNS}
         table[regime] = row
     return table
 
@@ -205,7 +205,7 @@ def show(result: dict) -> None:
         *ESTIMATORS,
         "limit",
         "limit now",
-        *(f"{estimator} / {other}" for estimator, other in RATIOS),
+        *(f"{estimator} / {other}" for estimator, other in RATIO_COLUMNS),
         "nis",
         "whiteness",
     )

@@ -131,7 +131,7 @@ def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
         os.kill(os.getpid(), signal.SIGTERM)
 
     monkeypatch.setattr("handctl.tune.search.search.run_search", interrupted)
-    monkeypatch.setattr("handctl.cli.tuning.tune_search._design_start", lambda *words: ())
+    monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
     assert capsys.readouterr() == ("", "handctl: interrupted; the same command continues with jamia.study\n")
 

@@ -32,7 +32,7 @@ def fake_search(monkeypatch):
     """Replace the search by one that returns given trials at once."""
     trials = []
     monkeypatch.setattr("handctl.tune.search.search.run_search", lambda *words: SearchResult.of(tuple(trials)))
-    monkeypatch.setattr("handctl.cli.tuning.tune_search._design_start", lambda *words: ())
+    monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     return trials
 
 

@@ -219,7 +219,7 @@ def test_a_pace_is_rounded_down_to_one_digit(pace: float, rounded: float) -> Non
     assert rounded_down(pace) == rounded
 
 
-def test_a_plant_far_behind_slips_and_reports(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_late_simulation_skips_time_and_reports_it(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     bench.turn(1, Frame(1, ENABLE))
     lost_ms = MAX_DELAY_NS // MS + 200
     bench.turn(1 + lost_ms)

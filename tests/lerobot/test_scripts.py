@@ -39,7 +39,7 @@ def faults(log: RunLog) -> list[str]:
 
 
 @pytest.mark.realtime
-def test_scripts_record_episodes_which_load_replay_and_run(options, place) -> None:
+def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0

@@ -27,7 +27,7 @@ def ticks(run: RunHeader, number: int = 120) -> Iterator[tuple[TickIn, TickOut]]
     random, k = np.random.default_rng(1), 0
     for index in range(number):
         k += 1 + (index % 17 == 16) * 3
-        yield _tick_in(run, k, index, random), _tick_out(run, index, random)
+        yield _tick_in(run, k, index, random), _tick_output(run, index, random)
 
 
 def _frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, ...]:
@@ -53,7 +53,7 @@ def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) ->
     return TickIn(k, t_ns, int(random.integers(0, 10**7)), _frames(index, t_ns, random), io_events, requests)
 
 
-def _tick_out(run: RunHeader, index: int, random: np.random.Generator) -> TickOut:
+def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> TickOut:
     telemetry = _telemetry(run, index, random)
     events: tuple[Event, ...] = ()
     if index % 13 == 2:

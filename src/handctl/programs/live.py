@@ -40,7 +40,7 @@ from handctl.programs.task_checks import (
 )
 
 
-def import_spline() -> None:
+def preload_spline() -> None:
     """Import the spline for the phase `follow` in advance, so that no tick imports it.
 
     The import takes 0.1 to 0.3 s. The first task of a client with such a phase would end a run in

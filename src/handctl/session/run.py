@@ -23,7 +23,7 @@ from handctl.log.record import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshots import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.calibration import Calibration
-from handctl.programs.live import LiveProgram, import_spline
+from handctl.programs.live import LiveProgram, preload_spline
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
@@ -109,7 +109,7 @@ def make_controller(plan: Plan, program: Program, calibration: Calibration | Non
     with plan.progress("compiling the controller, once") as report_progress:
         prepare(report_progress)
     if isinstance(program, LiveProgram):
-        import_spline()
+        preload_spline()
     return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
 
 

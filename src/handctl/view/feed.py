@@ -15,7 +15,7 @@ from rerun.chunk import Chunk, McapReader
 from handctl.errors import LogError
 from handctl.log.read.record_scan import RecordScan, scan_path
 from handctl.log.read.recover import RecoveryStatus, recover_log
-from handctl.view.scene.arrow import LOG_TIME, run_times
+from handctl.view.scene.arrow import LOG_TIME, times_since_start
 from handctl.view.scene.blueprint import dashboard
 from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
@@ -107,7 +107,7 @@ def log_chunks(path: Path, converters: TopicConverters, name: str, since_ns: int
 
 def _start_time(chunk: Chunk) -> int:
     """Return the log time of a chunk's first row [ns]. A chunk without times comes first."""
-    return int(run_times(chunk, 0)[0]) if LOG_TIME in chunk.timeline_names else -1
+    return int(times_since_start(chunk, 0)[0]) if LOG_TIME in chunk.timeline_names else -1
 
 
 def new_recording(run: RunInfo) -> rr.RecordingStream:

@@ -38,7 +38,7 @@ BENCH_OPTIONS: dict[str, dict[str, Any]] = {
     "cia402": {"sync": True},
 }
 """Options for a single drive on a bench, because no other host sends SYNC there."""
-TEXT_OPTIONS = ("firmware", "motor_type")
+TEXT_VALUED_OPTIONS = ("firmware", "motor_type")
 """Options whose value is text even if the text looks like a number, such as firmware=0.5."""
 UNQUOTED_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
 """Pattern for text that needs no quotes."""
@@ -64,7 +64,7 @@ def parse_options(words: list[str]) -> dict[str, Any]:
 def _option(word: str) -> dict[str, Any]:
     key, _, value = word.partition("=")
     quoted = f'{key}="{value}"'
-    if key.strip() in TEXT_OPTIONS and value[:1] not in ('"', "'"):
+    if key.strip() in TEXT_VALUED_OPTIONS and value[:1] not in ('"', "'"):
         word = quoted
     try:
         return parse_toml(word, "--option")

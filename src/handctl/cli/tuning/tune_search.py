@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             plants,
             args.seed,
             trials,
-            _design_start(twin, gains, rate, plants),
+            _designed_gains(twin, gains, rate, plants),
         )
         crew = make_workers(crew_size, args.scheduler)
         try:
@@ -88,7 +88,7 @@ def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, pic
     return ExitCode.FAILED
 
 
-def _design_start(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
+def _designed_gains(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
     """Return the gains of a design for the same plants, as second start point, or none if the design fails."""
     from handctl.tune.loops.design import design_gains, linear_factors
 

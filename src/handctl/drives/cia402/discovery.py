@@ -21,7 +21,7 @@ NODE_NUMBERS = range(1, HOST_NODE)
 # Object with the device type, and the profile number in its low word.
 DEVICE_TYPE = 0x1000
 PROFILE = 402
-AMPLIFIER_PROFILE = 404
+CIA404_PROFILE = 404
 """Profile number of measuring amplifiers."""
 CHANNELS = (0x6131, 0)
 """Object with the number of an amplifier's channels, which is the length of the array of units. Source: CiA 404."""
@@ -86,7 +86,7 @@ def _describe_node(number: int, device_type: int | None, nmt: int | None, twins:
         return DiscoveredNode("canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",))
     profile = device_type & 0xFFFF
     notes = (TWO_DRIVES_WARNING,) * twins
-    if profile == AMPLIFIER_PROFILE:
+    if profile == CIA404_PROFILE:
         text = f"a measuring amplifier of CiA 404{f' with {channels} channels' if channels else ''}: not a drive"
         options: dict[str, bool | int | float | str] = {"channels_per_node": channels} if channels else {}
         return DiscoveredNode(CIA404, number, state=state, options=options, notes=(*notes, text), twins=twins)

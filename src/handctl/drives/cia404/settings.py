@@ -5,7 +5,7 @@ digits are read first, and written only if they differ. Source: docs/facts/cia40
 """
 
 from handctl.drives.cia402 import codec
-from handctl.drives.cia402.discovery import AMPLIFIER_PROFILE
+from handctl.drives.cia402.discovery import CIA404_PROFILE
 from handctl.drives.cia402.settings import PDO_DISABLED_BIT, Check, Step, pdo_steps
 from handctl.drives.signals import Coding
 
@@ -35,7 +35,7 @@ def required_steps(node_id: int, channels: int, process_value: str, digits: int)
     adjust = Check.ADJUST
     number, _ = PROCESS_VALUES[process_value]
     steps = [
-        Step(Check.LOW_WORD, 0x1000, 0, AMPLIFIER_PROFILE, 4),
+        Step(Check.LOW_WORD, 0x1000, 0, CIA404_PROFILE, 4),
         Step(adjust, 0x1005, 0, codec.SYNC, 4),
         Step(adjust, 0x1017, 0, HEARTBEAT_MS, 2),
     ]

@@ -186,7 +186,7 @@ class _Resolver:
     def _resolve_digit(self, layers: Sequence[Layer], values: dict[str, Any], path: str) -> None:
         """Take tendons and motors out of a digit, and extend single numbers to lists per link."""
         digit = values.get("name")
-        inner = {kind: _layers_within_digit(layers, kind) for kind in DIGIT_KINDS}
+        inner = {kind: _template_layers_by_name(layers, kind) for kind in DIGIT_KINDS}
         for kind in DIGIT_KINDS:
             held = values.get(kind)
             if not isinstance(held, Mapping):
@@ -280,7 +280,7 @@ def _copy_list(value: Any) -> Any:
     return [_copy_list(entry) for entry in value] if isinstance(value, list) else value
 
 
-def _layers_within_digit(layers: Sequence[Layer], kind: str) -> dict[str, list[Layer]]:
+def _template_layers_by_name(layers: Sequence[Layer], kind: str) -> dict[str, list[Layer]]:
     """Return the layers of each tendon or motor that a digit holds, by its short name."""
     held: dict[str, list[Layer]] = {}
     for layer in layers:

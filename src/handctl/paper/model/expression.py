@@ -138,14 +138,14 @@ def dimension_text(dimension: Dimension) -> str:
     """Return a dimension as text, e.g. kg m² s⁻²."""
     units = zip(("kg", "m", "s"), dimension, strict=True)
     parts = [
-        unit + ("" if power == 1 else str(power).translate(_RAISED))
+        unit + ("" if power == 1 else str(power).translate(_SUPERSCRIPTS))
         for unit, power in units
         if power
     ]
     return " ".join(parts) or "1"
 
 
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _SUM = 1
 _PRODUCT = 2
@@ -165,7 +165,7 @@ def _pretty_text(node: ast.expr) -> tuple[str, int]:
             text, strength = _pretty_text(inner)
             return (f"{name} {text}" if strength == _POWER else f"{name}({text})"), _PRODUCT
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=power)):
-            return _in_brackets(left, _POWER) + str(power).translate(_RAISED), _POWER
+            return _in_brackets(left, _POWER) + str(power).translate(_SUPERSCRIPTS), _POWER
         # A leading minus moves to the front of the whole product.
         case ast.BinOp(op=ast.Mult() | ast.Div()) if (positive := _without_minus(node)) is not node:
             return "−" + _pretty_text(positive)[0], _SUM

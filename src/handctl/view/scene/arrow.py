@@ -18,7 +18,7 @@ Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 
-def run_times(chunk: Chunk, offset_ns: int) -> Times:
+def times_since_start(chunk: Chunk, offset_ns: int) -> Times:
     """Return the time of each row of a chunk since the start of the run (n,) [ns]."""
     return np.asarray(chunk.to_record_batch().column(LOG_TIME).cast(pa.int64())) - offset_ns
 
@@ -48,7 +48,7 @@ def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
     columns = []
     for field, column in zip(batch.schema, batch.columns, strict=True):
         if field.name == LOG_TIME:
-            column = pa.array(run_times(chunk, offset_ns)).cast(pa.duration("ns"))
+            column = pa.array(times_since_start(chunk, offset_ns)).cast(pa.duration("ns"))
             field = pa.field(
                 TIMELINE,
                 column.type,

@@ -17,8 +17,8 @@ from handctl.view.scene.arrow import (
     chunk_on_run_time,
     column_as_array,
     decoded_messages,
-    run_times,
     timed_chunk,
+    times_since_start,
 )
 from handctl.view.scene.frame_load import FrameLoad
 from handctl.view.scene.geometry import solid_chunks
@@ -86,7 +86,7 @@ class TopicConverters:
         if messages is None:
             return
         table = column_as_array(messages.field("values"))
-        times = run_times(chunk, self._offset)
+        times = times_since_start(chunk, self._offset)
         part = self._run.fields(table)
         yield timed_chunk("/tension/estimate", times, lines_with_band(part["tension"], part["tension_sigma"]))
         yield timed_chunk("/tension/command", times, plot_lines(part["tension_goal"]))
@@ -110,14 +110,14 @@ class TopicConverters:
         messages = decoded_messages(chunk)
         if messages is not None:
             late = np.asarray(messages.field("late"), np.float64) * 1e6
-            yield timed_chunk("/loop/late", run_times(chunk, self._offset), plot_lines(late[:, None]))
+            yield timed_chunk("/loop/late", times_since_start(chunk, self._offset), plot_lines(late[:, None]))
 
     def _convert_tick(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the frames of each tick to the load of each bus [%]."""
         messages = decoded_messages(chunk)
         if messages is not None:
             load = 100 * self._load.of(messages)
-            yield timed_chunk("/bus/load", run_times(chunk, self._offset), plot_lines(load))
+            yield timed_chunk("/bus/load", times_since_start(chunk, self._offset), plot_lines(load))
 
     def _convert_state(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert a named state to a lane of the dashboard."""
@@ -125,7 +125,7 @@ class TopicConverters:
         if messages is not None:
             names = messages.field("name").to_pylist()
             entity = STATE_TOPICS[chunk.entity_path]
-            yield timed_chunk(entity, run_times(chunk, self._offset), rr.StateChange.columns(state=names))
+            yield timed_chunk(entity, times_since_start(chunk, self._offset), rr.StateChange.columns(state=names))
 
 
 def lines_with_band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
