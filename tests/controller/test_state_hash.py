@@ -12,8 +12,13 @@ def bytes_of(value: object) -> bytes:
 
 
 def test_values_of_same_objects_are_taken_over() -> None:
-    asked = []
-    cache = SequenceCache[object](lambda item: asked.append(item) or bytes_of(item))  # type: ignore[func-returns-value]
+    asked = list[object]()
+
+    def noted(item: object) -> bytes:
+        asked.append(item)
+        return bytes_of(item)
+
+    cache = SequenceCache[object](noted)
     one, two, three = [1], [2], [3]
     assert cache((one, two)) == [b"[1]", b"[2]"]
     assert cache((one, three)) == [b"[1]", b"[3]"]

@@ -191,8 +191,7 @@ class Controller:
             entry: inputs of the tick. Its requests are ignored.
         """
         gains = before.decisions.gains
-        unchanged = gains is None or gains is self.model.gains
-        controller = self if unchanged or gains is None else self.designs.controller(self, gains)
+        controller = self if gains is None or gains is self.model.gains else self.designs.controller(self, gains)
         state = before.copy()
         signs = controller._take_in(before, state, entry, frames_as_records(entry.frames))
         return OpenTick(controller, before, state, entry, signs)
