@@ -542,14 +542,11 @@ class HandClient:
 
         Returns:
             Lists in the order of the hand file, with None for unknown values: ``q_rad`` by joint
-            [rad]
-            with its standard deviation ``q_sigma_rad`` (large where a digit in contact has fewer
-            tendons than joints),
-            ``tension_N`` and ``tension_goal_N`` by tendon [N], ``tip_force_N`` with
-            ``tip_force_sigma_N``
-            and ``contact`` (bool) by digit [N], ``t_s`` time of the run [s], ``k`` tick,
-            ``late_us`` [us], ``mode``,
-            ``phase``, ``events`` of this tick.
+            [rad] with its standard deviation ``q_sigma_rad`` (large where a digit in contact has
+            fewer tendons than joints), ``tension_N`` and ``tension_goal_N`` by tendon [N],
+            ``tip_force_N`` with ``tip_force_sigma_N`` and ``contact`` (bool) by digit [N], ``t_s``
+            time of the run [s], ``k`` tick, ``late_us`` [us], ``mode``, ``phase``, ``events`` of
+            this tick.
 
         Raises:
             DriveError: the run has ended. The message has the reason.

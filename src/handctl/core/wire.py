@@ -208,9 +208,8 @@ def receive_frames(
             have a counter.
 
     Returns:
-        Index of the first frame for a state machine, or that only this host may send. It is n
-        without such
-            a frame.
+        Index of the first frame for a state machine or that only this host may send, n without such
+        a frame.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -459,10 +458,8 @@ def encode_commands(
 
     Returns:
         Index of the first drive that is not steady, N if all are steady, and the number of records.
-        The
-            function also stops at a drive whose torque is beyond its limit. The drive's state
-            machine
-            reports it.
+        The function also stops at a drive whose torque is beyond its limit. The drive's state
+        machine reports it.
     """
     x = state_tables(block, at)
     now_ns = x.run_int[s.T_NS]

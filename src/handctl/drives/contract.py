@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # imported for types only, because it imports numba, which re
 UNSTEADY = -1
 """Value of ``steady_status`` for a drive whose state machine must process every frame."""
 END_OF_TIME_NS = (1 << 63) - 1
-"""Largest time [ns]: Value of ``due_ns`` if no call is scheduled."""
+"""Largest time [ns], the value of ``due_ns`` if no call is scheduled."""
 
 
 class DriveTarget(enum.IntEnum):

@@ -53,8 +53,8 @@ def inverse_kinematics(
 
     Returns:
         the solutions within one turn, first the one with positive flexion of the second joint.
-        Empty
-        out of reach, and for two equal links folded onto the base, where the direction is free.
+        Empty out of reach, and for two equal links folded onto the base, where the direction is
+        free.
 
     Raises:
         ValueError: not two or three joints, hinges that are not parallel, or three joints without a

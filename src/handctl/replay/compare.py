@@ -61,8 +61,7 @@ def compare_signals(names: tuple[str, ...], before: Array, after: Array, period:
 
     Returns:
         By name: rms and peak in the signals' unit, and delay_s, the delay of `after` behind
-            `before` [s]. The delay of a
-        constant signal is NaN.
+        `before` [s]. The delay of a constant signal is NaN.
     """
     rows = min(len(before), len(after))
     change = after[:rows] - before[:rows]

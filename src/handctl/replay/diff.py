@@ -53,9 +53,8 @@ def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
 
     Returns:
         Gains that differ, phases in only one of the runs, and for each common phase both durations
-        [s] and the
-            differences
-        from `compare.both` over the shorter duration, aligned at the start of the phase.
+        [s] and the differences from `compare.both` over the shorter duration, aligned at the start
+        of the phase.
 
     Raises:
         IncomparableError: the logs are of different hands.

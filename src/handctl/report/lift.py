@@ -31,9 +31,7 @@ def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Co
 
     Returns:
         `table_sunk_mm` at the end of the last hold, and `object_slid_mm` from the first sinking to
-        this time. NaN
-            without a
-        sinking table, or before the first hold.
+        this time. NaN without a sinking table, or before the first hold.
     """
     unknown = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
     t_ns = _hold_times(log, holds) + offset_ns

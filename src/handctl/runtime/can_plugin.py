@@ -89,8 +89,7 @@ class LocalCanBus(can.BusABC):
 
         Raises:
             can.CanOperationError: the queue stayed full, the hub is gone, or an FD message was sent
-            on
-                a bus that was opened without FD.
+                on a bus that was opened without FD.
         """
         if msg.is_fd and not self._fd:
             raise can.CanOperationError("a CAN FD message on a bus that was opened without fd")

@@ -26,8 +26,7 @@ def close_answered_requests(x: Tables, c: ConstantTables) -> bool:
 
     Returns:
         True if a node sent more replies than it had outstanding requests. ``EXCESS_REPLIES`` of
-        such a
-            motor is the number of outstanding requests plus 1. It is 0 for all other motors.
+        such a motor is the number of outstanding requests plus 1. It is 0 for all other motors.
     """
     any_excess = False
     for n in range(x.tendon.shape[1]):

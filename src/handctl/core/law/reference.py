@@ -166,10 +166,8 @@ def write_required_tensions(x: Tables, c: ConstantTables) -> int:
 
     Returns:
         A number with a bit for each digit whose tensions are out of bounds, or not unique. For
-        these digits
-            the bounded least-squares problem of ``allocation`` must be solved. A single tendon out
-            of bounds
-            is optimal at the bound, so its digit has no bit.
+        these digits the bounded least-squares problem of ``allocation`` must be solved. A single
+        tendon out of bounds is optimal at the bound, so its digit has no bit.
     """
     undecided = 0
     for d in range(x.digit.shape[1]):

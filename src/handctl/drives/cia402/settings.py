@@ -169,8 +169,7 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
 
     Returns:
         the new cursor, the value of a TELL_IF_THERE object (else 0), and the problem in words,
-        empty
-        without a problem.
+        empty without a problem.
     """
     step = required[cursor.step]
     if not cursor.waiting or reply[:2] != (step.number, step.sub):

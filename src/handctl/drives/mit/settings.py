@@ -58,8 +58,7 @@ def next_serial_request(cursor: Cursor, node_id: int, t_ns: int) -> tuple[Cursor
 
     Returns:
         the new cursor, the payload on BROADCAST_ID (empty while an answer is awaited), and True if
-        the
-        motor does not answer.
+        the motor does not answer.
     """
     cursor, send, unanswered = readback.request_setting(cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES)
     return cursor, codec.register_request(node_id, codec.READ, codec.SERIAL_NUMBER) if send else b"", bool(unanswered)

@@ -131,8 +131,7 @@ def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFa
 
     Returns:
         The system with the states travel, travel rate, excursion, excursion rate, motor force. The
-        blocked
-        digit has no excursion.
+        blocked digit has no excursion.
 
     Source: two masses on a spring, torque with a first-order lag, zero-order hold.
     """
