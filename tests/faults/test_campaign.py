@@ -3,6 +3,7 @@
 import contextlib
 import math
 import os
+import tomllib
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,12 +23,21 @@ from handctl.campaign.scenarios import (
     fault_pairs,
     scenarios,
 )
-from handctl.campaign.stage import FAULT_DELAY_S, advance_to, hand_with_protocol, homed_run, run_in_branches
+from handctl.campaign.stage import (
+    FAULT_DELAY_S,
+    SLOWEST_HZ,
+    advance_to,
+    hand_with_protocol,
+    homed_run,
+    run_in_branches,
+)
 from handctl.cli.studies.fault_campaign import default_rate
+from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Event, Mode
-from handctl.hand.load import load_hand
+from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 from handctl.safety.action import Action
 from handctl.safety.faults.tendon import RELAXED_S
+from handctl.session.plan import highest_rate_of_buses
 from handctl.session.simulate import Simulation
 from tests.hand.wrist import on_wrist
 
@@ -116,10 +126,20 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
 
 
 @pytest.mark.timeout(120)
+@pytest.mark.parametrize("hand", packaged_hands())
+@pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
+def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(hand: str, protocol: str) -> None:
+    """Eleven moteus, ODrive or RobStride drives on a single bus allow 100 Hz only. They get a second bus."""
+    replaced = hand_with_protocol(hand, protocol)
+    assert highest_rate_of_buses(bus_loads(replaced)) >= SLOWEST_HZ
+    assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
+    # The file of the hand, which `demo --protocol` writes, describes the same hand.
+    assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
+
+
 def test_at_100_hz_noise_prevents_no_grasp():
     """With three times the noise one of eleven taut tendons looks slack in every fifth tick."""
-    hand = hand_with_protocol("jamia11", "odrive")
-    assert campaign.run_fault_free(hand, default_rate(hand), 8.0, seed=80111) == []
+    assert campaign.run_fault_free(hand_with_protocol("jamia11", "odrive"), 100.0, 8.0, seed=80111) == []
 
 
 def test_a_missing_reaction_counts_as_late(tmp_path):

@@ -187,3 +187,12 @@ def test_a_file_cut_short_anywhere_is_refused(tmp_path):
 def test_a_directory_is_no_hand(tmp_path):
     with pytest.raises(ConfigError, match="no such hand or file"):
         load_hand(Path(tmp_path))
+
+
+def test_a_copy_with_other_buses_has_their_names() -> None:
+    """Regression: a copy kept cached properties of the fields before the change, such as the names of the buses."""
+    hand = load_hand("jamia")
+    assert hand.bus_names == ("main",)
+    renamed = hand.model_copy(update={"bus": (hand.bus[0].model_copy(update={"name": "left"}),)})
+    assert renamed.bus_names == ("left",)
+    assert hand.bus_names == ("main",)

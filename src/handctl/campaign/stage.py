@@ -13,6 +13,7 @@ from typing import Any, Protocol, TypeVar, cast
 
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.campaign.scenarios import ARMING, FREE, GRASP, MIT
+from handctl.controller.bus_load import bus_loads, split_motors_over_buses
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.types import Mode
@@ -23,12 +24,17 @@ from handctl.hand.load import load_hand
 from handctl.processes import run_in_copy
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.session.plan import highest_rate_of_buses
 from handctl.session.simulate import Simulation, Simulator
 
 FIRST_NODE = 0x10
 """Node id of the first motor, if the protocol differs from the hand file."""
 DATA_BITRATE = 5_000_000
 """Data bit rate of the buses of a hand with drives that need CAN FD [bit/s]."""
+SLOWEST_HZ = 200.0
+"""Lowest control rate at which the controller reacts to every fault within its bound [Hz]."""
+SPLIT_HZ = 250.0
+"""Control rate for which motors are distributed over more buses [Hz]."""
 TASK: dict[str, Any] = {
     "schema": 1,
     "name": "campaign",
@@ -56,7 +62,11 @@ def hand_with_protocol(name: str, protocol: str) -> Hand:
 
 
 def with_drives(hand: Hand, protocol: str) -> Hand:
-    """Return a hand with the drives of its motors replaced, and with CAN FD on each bus if the protocol needs it."""
+    """Return a hand with the drives of its motors replaced, and with CAN FD on each bus if the protocol needs it.
+
+    The motors of a hand with a single bus are distributed over more buses if the frames of the new
+    drives would allow less than ``SLOWEST_HZ``.
+    """
     traits = PROTOCOLS[protocol]
     motors = tuple(
         motor.model_copy(update={"protocol": protocol, "node_id": FIRST_NODE + i, "options": dict(traits.options)})
@@ -66,7 +76,29 @@ def with_drives(hand: Hand, protocol: str) -> Hand:
         bus.model_copy(update={"data_bitrate": DATA_BITRATE}) if traits.can_fd and bus.data_bitrate is None else bus
         for bus in hand.bus
     )
-    return hand.model_copy(update={"motor": motors, "bus": buses})
+    replaced = hand.model_copy(update={"motor": motors, "bus": buses})
+    too_slow = len(buses) == 1 and highest_rate_of_buses(bus_loads(replaced)) < SLOWEST_HZ
+    return _with_more_buses(replaced) if too_slow else replaced
+
+
+def _with_more_buses(hand: Hand) -> Hand:
+    """Return a hand whose motors are distributed over as many buses as ``SPLIT_HZ`` needs.
+
+    The load cells stay on the only bus of the given hand. The hand stays as it is if one motor alone
+    needs more than a bus.
+    """
+    groups = split_motors_over_buses(hand, SPLIT_HZ)
+    if not groups:
+        return hand
+    first = hand.bus[0]
+    names = [first.name, *(f"bus_{number}" for number in range(1, len(groups)))]
+    bus_of = {motor: name for name, motors in zip(names, groups, strict=True) for motor in motors}
+    return hand.model_copy(
+        update={
+            "bus": tuple(first.model_copy(update={"name": name}) for name in names),
+            "motor": tuple(motor.model_copy(update={"bus": bus_of[motor.name]}) for motor in hand.motor),
+        }
+    )
 
 
 @contextmanager

@@ -1,7 +1,8 @@
 """Sections of a hand file as frozen pydantic models. Keys carry their units."""
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -13,6 +14,17 @@ class Section(BaseModel):
     """Table of the file: frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with the given fields replaced.
+
+        pydantic also copies the cached properties, which belong to the fields before the change. The
+        copy computes them again.
+        """
+        copied = super().model_copy(update=update, deep=deep)
+        for name in copied.__dict__.keys() - type(self).model_fields.keys():
+            del copied.__dict__[name]
+        return copied
 
 
 class Mount(Section):
