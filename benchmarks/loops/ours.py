@@ -89,9 +89,11 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
         recorder.record(pack_tick_record(entry, out))
 
     took = []
+    # Timing takes a few microseconds, which a rate without deadlines must not contain.
+    begin = (lambda state, entry: TimedTick(controller, state, entry, took)) if rate_hz else controller.begin
     loop = Loop(
-        clock, plan.period_ns, [bus], lambda state, entry: TimedTick(controller, state, entry, took), cut,
-        counter.requests, lambda: list(recorder.events()), record, counter, urgent=awake_processors,
+        clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.events()), record, counter,
+        urgent=awake_processors,
     )  # fmt: skip
     state = loop.run(controller.initial())
     recorder.close("done")
@@ -140,22 +142,24 @@ class Counter:
     def __call__(self, entry, out) -> None:
         if out.mode != Mode.ACTIVE or self.stopped:
             return
-        self.last_ns = _now()
-        self.last_k = entry.k
-        self.cpu_s = time.process_time() - self.first_cpu_s
         if not self.first_ns:
             self.first_cpu_s = time.process_time()
-            self.first_ns = self.last_ns
-            self.first_k = self.last_k
+            self.first_ns = self.last_ns = _now()
+            self.first_k = self.last_k = entry.k
             return
         self.ticks += 1
+        self.last_k = entry.k
         self.late.append(entry.late_ns)
 
     def requests(self) -> tuple[str, ...]:
-        if self.first_ns and not self.stopped and _now() - self.first_ns > self.seconds * 1e9:
-            self.stopped = True
-            return (STOP,)
-        return ()
+        if not self.first_ns or self.stopped:
+            return ()
+        self.last_ns = _now()
+        if self.last_ns - self.first_ns < self.seconds * 1e9:
+            return ()
+        self.cpu_s = time.process_time() - self.first_cpu_s
+        self.stopped = True
+        return (STOP,)
 
 
 def _now() -> int:
