@@ -126,6 +126,17 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
 
 
 @pytest.mark.timeout(120)
+@pytest.mark.parametrize("seed", range(3))
+def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
+    """Regression: the large changes of the commands at the contact hid the exchange for 2.3 s."""
+    hand = hand_with_protocol("t42", "mit")
+    with homed_run(hand, RATE_HZ, seed) as simulation:
+        advance_to(simulation, GRASP)
+        simulation.peer.inject("swap node=left_motor with=right_motor")
+        assert simulation.until(lambda out: out.mode == Mode.RELAX, 0.6)
+        assert {mark.id for mark in simulation.state.latched} == {"N17"}
+
+
 @pytest.mark.parametrize("hand", packaged_hands())
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(hand: str, protocol: str) -> None:
@@ -286,7 +297,7 @@ def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("hand", ["jamia", "jamia11", "jamia_bench"])
+@pytest.mark.parametrize("hand", ["jamia", "jamia11", "jamia_bench", "t42"])
 def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
     protocol = ALL_PROTOCOLS[seed % len(ALL_PROTOCOLS)]
     report = campaign.run_campaign(

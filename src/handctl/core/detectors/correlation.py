@@ -12,6 +12,10 @@ The fault is present if less than 0.4 of the command's changes are reported, wit
 standard deviations of the estimate. For uncorrelated increments the sample covariance has the
 variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
 
+The increments of a contact are a hundred times as large as those of a hold. Unlimited, they would
+dominate the products for seconds after the contact. All increments are therefore limited to two
+counts of the torque. For an obeying drive the limited increments have the same signs.
+
 A pair of increments counts only after some ticks with replies in time. After a pause a drive
 replies to every queued command before it obeys the last one, so the next report belongs to an older
 command. On a slow bus a report may come a tick late, and then follows the command before. The test
@@ -42,6 +46,8 @@ MOVED_FRACTION = 1.0 / 4000.0
 Rounding dominates smaller increments. If a drive's torque has a larger count, half of that count is
 used.
 """
+LARGEST_INCREMENT = 4.0
+"""Limit of an increment, as a multiple of the smallest one. Noise makes increments of about this size in a hold."""
 SERVO_COUNTS = 0.75
 """Smallest increment for a drive that closes the position loop, in counts of position and speed.
 
@@ -81,9 +87,10 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
             second = first
             first = x.servo[s.SERVO_REPORT, n]
         report = x.tendon[s.MEASURED_FORCE, n]
-        a = first - second
-        b = report - x.tendon[s.REPORT_FORCES + 3, n]
-        late = second - last
+        largest = LARGEST_INCREMENT * _smallest_increment(x, c, n)
+        a = _limited(first - second, largest)
+        b = _limited(report - x.tendon[s.REPORT_FORCES + 3, n], largest)
+        late = _limited(second - last, largest)
         settled = 0.0
         if missed == 0 and math.isfinite(report):
             settled = x.tendon[s.REPORT_ON_TIME, n] + 1.0
@@ -107,6 +114,23 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
 
 
 @inner
+def _smallest_increment(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return the smallest increment of a motor's torque, as force at the spool, that counts as a change [N]."""
+    rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
+        rounding = max(rounding, SERVO_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
+    return float(rounding)
+
+
+@inner
+def _limited(increment: float, largest: float) -> float:
+    """Return an increment limited to plus or minus ``largest``. NaN stays NaN."""
+    if increment > largest:
+        return largest
+    return -largest if increment < -largest else increment
+
+
+@inner
 def _low_pass_moment(x: Tables, n: int, moment: int, fraction: float, value: float) -> None:
     x.tendon[s.REPORT_MOMENTS + moment, n] += fraction * (value - x.tendon[s.REPORT_MOMENTS + moment, n])
 
@@ -118,10 +142,7 @@ def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
     bb = x.tendon[s.REPORT_MOMENTS + BB, n]
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
     # Command and report must both change by more than rounding. A constant report is another fault.
-    rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
-    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
-        rounding = max(rounding, SERVO_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
-    moves = min(aa, bb) > square(rounding)
+    moves = min(aa, bb) > square(_smallest_increment(x, c, n))
     if x.tendon[s.REPORT_MOMENTS + FULL, n] <= MIN_FILLING or not moves:
         return False
     return ab + SIGMAS * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORTED_S)) < REPORTED_FRACTION * aa
