@@ -1,4 +1,4 @@
-"""Move a hand, hold a tension, read the observation.
+"""Move a hand, hold a tension with one digit, and read an observation.
 
 Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
 Then start: python connect_and_move.py [options of handctl run, e.g. --rate 250]

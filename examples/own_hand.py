@@ -1,4 +1,4 @@
-"""Describe your own hand, print the message about a mistake, and grasp with the hand in simulation.
+"""Describe your own hand in a file, print the message about a mistake in the file, and grasp with the simulated hand.
 
 python own_hand.py writes mine.toml.
 """
@@ -31,7 +31,7 @@ touching: set[str] = set()
 
 
 def see(entry, out):
-    """Collect the digits in contact."""
+    """Collect the digits that have been in contact."""
     touching.update(event.where for event in out.events if event.name == "contact")
 
 

@@ -1,4 +1,4 @@
-"""Plot the angles, tensions and tip forces of a grasp, with its phases.
+"""Plot the joint angles, tensions and tip forces in the log of a grasp, and mark its phases.
 
 handctl demo --lockstep --log grasp.mcap
 python plot_grasp.py grasp.mcap writes grasp.png. `handctl report grasp.mcap` writes a page with more plots.
@@ -27,7 +27,7 @@ with RunLog(sys.argv[1]) as log:
     for change, start, end in zip(log.phases, starts, [*starts[1:], log.times[-1]], strict=True):
         for axis in axes:
             axis.axvline(start, color="0.8", linewidth=0.8, zorder=0)
-        if end - start > 0.3:  # the names of short phases would overlap
+        if end - start > 0.3:  # names of short phases would overlap
             above = axes[0].get_xaxis_transform()
             axes[0].text(start, 1.02, change.name, transform=above, rotation=30, fontsize="small")
     axes[-1].set_xlabel("time [s]")

@@ -1,4 +1,4 @@
-"""Push a held object in simulation, and compare the forces for two stiffnesses of the grip.
+"""Push an object that a simulated hand holds, and compare the forces for two stiffnesses of the grip.
 
 python push.py writes push.png.
 """
@@ -36,7 +36,10 @@ START_S, RATE_N_PER_S, LARGEST_N, SHOWN_MM = 3.5, 8.0, 8.0, 3.0
 
 
 def task(stiffness_N_per_mm):
-    """Return a task whose tensions rise when the object pulls the tendons out."""
+    """Return a task that closes the hand and holds.
+
+    In the hold, a tension rises when the object pulls its tendon out.
+    """
     hold = {"kind": "hold", "tension_N": 12.0, "stiffness_N_per_mm": stiffness_N_per_mm, "duration_s": 8.0}
     close = {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 100.0, "contact_tension_N": 12.0}
     return Task.model_validate({"schema": 1, "name": "push", "description": "push", "phase": (close, hold)})

@@ -1,11 +1,11 @@
-"""Follow the fingertips of a human hand: positions scaled to the robot's fingers, by inverse kinematics.
+"""Let a hand follow the fingertips of a human hand. The positions are scaled to the robot's fingers.
 
 In another terminal: handctl sim --hand jamia11 --bus local:lab --scene none
 Then: python retarget.py [options of handctl run] writes retarget.png.
 
-This program computes the human motion: index, middle, ring and thumb close one after another, and open. The lengths
-of the segments are fractions of the hand's length (Buchholz, Armstrong and Goldstein 1992, Ergonomics 35(3), 261-273).
-The last joint of a finger turns by 2/3 of the middle one (Rijpkema and Girard 1991).
+This program computes the human motion: index, middle, ring and thumb close one after another, and open. The lengths of
+the human finger segments are fractions of the hand's length (Buchholz, Armstrong and Goldstein 1992, Ergonomics 35(3),
+261-273). The last joint of a finger turns by 2/3 of the angle of the middle joint (Rijpkema and Girard 1991).
 """
 
 import sys
@@ -35,7 +35,7 @@ CLOSED_DEG = {"index": 36.0, "middle": 30.0, "ring": 30.0, "thumb": 8.0}  # at l
 
 
 def human_tip(name, t):
-    """Return the tip of a human finger from its knuckle [m]: x along the straight finger, y to the palm."""
+    """Return the position of a human fingertip from the knuckle [m]: x along the straight finger, y to the palm."""
     delay = 0.4 * list(SEGMENTS).index(name)
     phase = np.clip((t - 0.5 - delay) / 3.5, 0.0, 1.0)
     knuckle = np.radians(CLOSED_DEG[name]) * 0.5 * (1.0 - np.cos(2.0 * np.pi * phase))  # closes and opens
@@ -46,7 +46,7 @@ def human_tip(name, t):
 
 
 def retarget(digit, name, t):
-    """Return the human tip in the palm frame of the robot, scaled by the lengths of both fingers [m]."""
+    """Return the position of a human fingertip in the robot's palm frame, scaled by the lengths of both fingers [m]."""
     scale = sum(digit.lengths) / (HAND_LENGTH_M * sum(SEGMENTS[name]))
     return to_palm(digit, scale * human_tip(name, t))
 

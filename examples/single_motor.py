@@ -1,4 +1,4 @@
-"""Turn one motor by one radian with a proportional-derivative loop, without a hand and a tendon.
+"""Turn a single motor by one radian with a proportional-derivative loop. The motor belongs to no hand and no tendon.
 
 Start in another terminal: python -m firmware_sim drive mit --ids 1 --bus local:bench
 Then start: python single_motor.py

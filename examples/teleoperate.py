@@ -1,4 +1,4 @@
-"""Teleoperate a hand with lines from the standard input, such as "index=30 thumb=10" [deg].
+"""Teleoperate a hand with lines from the standard input, such as "index=30 thumb=10" with angles in degrees.
 
 Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
 Then start: python teleoperate.py [options of handctl run]
@@ -20,7 +20,7 @@ SPEED_DEG_S = 60.0
 
 
 def lines():
-    """Yield the lines that have arrived since the last call, without waiting. Stop at the end of the input."""
+    """Yield the lines that have arrived since the last step, without waiting. Stop at the end of the input."""
     rest = b""
     while True:
         if select.select([0], [], [], 0.0)[0]:

@@ -1,7 +1,9 @@
-"""Train a linear policy to follow a reference, by augmented random search. This takes one minute on an idle core.
+"""Train a linear policy by augmented random search to follow a reference.
 
-All digits use the same policy. The action of a digit is a weighted sum of four values: its reference after the horizon,
-its present reference, its angle, and 1. The first three are scaled like an action.
+The training takes one minute on an idle core.
+
+All digits use the same policy. The action for a digit is a weighted sum of four values: the reference after the
+horizon, the present reference, the angle of the digit, and 1. The first three values are scaled like an action.
 
 pip install 'handctl[gym]'
 python train_policy.py [iterations] writes policy.npy and training.png.
@@ -41,7 +43,7 @@ def act(policy, seen):
 
 
 def episode(policy, seed):
-    """Run an episode. Return the mean reward, and angles and reference of the digits in each step [deg]."""
+    """Run an episode. Return the mean reward, and the angles and references of the digits in each step [deg]."""
     seen, _ = env.reset(seed=seed)
     rewards, rows, ended, truncated = [], [], False, False
     while not (ended or truncated):
@@ -57,7 +59,7 @@ first = policy.copy()
 curve = []
 for iteration in range(ITERATIONS):
     directions = rng.standard_normal((DIRECTIONS, len(policy)))
-    seed = int(rng.integers(1000))  # the same episode for both signs
+    seed = int(rng.integers(1000))  # both signs get the same episode
     scores = np.array([[episode(policy + sign * NOISE * d, seed)[0] for sign in (1, -1)] for d in directions])
     best = np.argsort(scores.max(axis=1))[-BEST:]
     slope = sum((scores[i, 0] - scores[i, 1]) * directions[i] for i in best)

@@ -1,1 +1,1 @@
-"""Simulated drives, sensor node and mechanics of a tendon-driven hand, on the other side of the CAN bus."""
+"""The simulator of a tendon-driven hand: its drives, sensor node and mechanics, as a host sees them over CAN."""

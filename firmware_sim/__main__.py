@@ -1,4 +1,4 @@
-"""Entry point of ``python -m firmware_sim``: a simulated hand, drives without a hand, or a hub."""
+"""Entry point of ``python -m firmware_sim``: a simulated hand, simulated drives alone, or the hub of a local bus."""
 
 import sys
 
@@ -7,19 +7,20 @@ from firmware_sim.description import SimulatorError
 from firmware_sim.printing import one_line
 
 EXTRA_PACKAGES = ("mujoco",)
-"""Import names of the packages that the extra ``sim`` installs."""
+"""Import names of the packages that ``pip install handctl[sim]`` adds."""
 
 
 def main(words: list[str]) -> int:
-    """Run one of the three programs.
+    """Run one of the three programs: hand, drives or hub.
 
     Args:
         words: command-line arguments without the program's name.
 
     Returns:
-        Exit code: 0 after SIGTERM or SIGINT, 2 for arguments that cannot be served.
+        Exit code: 0 after SIGTERM or SIGINT, 2 for arguments that the program cannot use, or if
+        MuJoCo is missing.
     """
-    try:  # The imports are inside the function, because a bus needs neither MuJoCo nor a compiler.
+    try:  # Imported here, because the hub needs neither MuJoCo nor a compiler.
         check_words(words)
         if words[:1] == ["bus"]:
             from firmware_sim.programs import bus as alone

@@ -1,4 +1,4 @@
-"""Common parts of the command-line programs: errors of one line, and an orderly end."""
+"""Common parts of the command-line programs: one-line errors, checks of arguments, and an end on SIGTERM or SIGINT."""
 
 import argparse
 import re
@@ -11,15 +11,15 @@ from firmware_sim.description import SimulatorError
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser that reports errors in one line."""
+    """A parser of command lines with error messages of a single line."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise the error for the caller."""
+        """Raise a usage error as SimulatorError, instead of ending the program."""
         raise SimulatorError(f"{message}; --help shows how")
 
 
 def check_words(words: list[str]) -> None:
-    """Check for arguments that no program can use: NUL, line ends, and the end of the options as an option's value."""
+    """Refuse arguments that no program can use: those with NUL or a line end, and options with the value ``--``."""
     for word in words:
         if "\0" in word:
             raise SimulatorError("an argument with a NUL character; expected valid file names")
@@ -30,13 +30,13 @@ def check_words(words: list[str]) -> None:
 
 
 def check_time_scale(value: float) -> None:
-    """Check that a pace is neither too slow to tick nor too fast for any machine."""
+    """Check that the factor between simulated time and clock time lies between 0.001 and 100."""
     if not 0.001 <= value <= 100.0:
         raise SimulatorError(f"--time-scale {value:g}: expected 0.001 to 100")
 
 
 def until_signal(stop: Callable[[], None]) -> None:
-    """Install ``stop`` as handler of SIGTERM and SIGINT."""
+    """Install ``stop`` as the handler of the signals SIGTERM and SIGINT."""
 
     def handle(number: int, frame: FrameType | None) -> None:
         stop()

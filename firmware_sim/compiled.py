@@ -1,13 +1,13 @@
 """Kernels: plain functions that numba can compile, for programs that advance a plant without waiting for a clock.
 
 ``compiled`` registers the argument types of a kernel. ``machine_code`` compiles the kernels of a
-module, and only then imports numba. The import takes almost a second, too long for a simulator that
-starts as a process.
+module. Only ``machine_code`` imports numba. The import takes almost a second, too long for a
+simulator in a separate process.
 
-Compiled and Python forms are equal to the bit: operations keep their order and their rounding (no
-fast math). The code is stored in numba's cache. The cache of a file does not notice changes in
-other files. Kernels that call one another therefore belong in one file, or carry a digest of the
-other files in their name.
+A compiled kernel and its Python form return the same bits: operations keep their order and their
+rounding (no fast math). Numba stores the compiled code in a cache for each source file. The cache
+of a file is not renewed when another file changes. Kernels that call each other therefore belong in
+the same file, or their names carry a digest of the other files.
 """
 
 import ctypes
@@ -24,18 +24,21 @@ import numpy as np
 F = TypeVar("F", bound=Callable[..., Any])
 
 Argument: TypeAlias = "str | type[ctypes.Structure] | np.dtype[Any]"
-"""Type of a kernel argument."""
+"""Type of an argument of a kernel, see ``compiled``."""
 
 _KERNELS: dict[str, dict[str, tuple[Argument, ...] | None]] = {}
-"""Argument types of each kernel, by module and kernel name. None for kernels that only other kernels call."""
+"""Argument types of each kernel, by module and kernel name.
+
+None for a kernel that only other kernels call.
+"""
 
 
 def compiled(*arguments: Argument) -> Callable[[F], F]:
     """Register a function as a kernel.
 
     Args:
-        arguments: type of each argument: real, count, flag, address, vector (of reals), counts, a
-            ``ctypes.Structure`` or a structured dtype for an array of such rows.
+        arguments: type of each argument: real, count, flag, address, vector (of reals) or counts. A
+            ``ctypes.Structure`` or a structured dtype stands for an array of its rows.
     """
 
     def note(function: F) -> F:
@@ -52,26 +55,31 @@ def inner(function: F) -> F:
 
 
 def call(function: int, first: int, second: int) -> None:
-    """Call a C function ``void f(void *, void *)``, all three given by address.
+    """Call a C function ``void f(void *, void *)``.
+
+    The function and both arguments are given by their addresses.
 
     Raises:
-        NotImplementedError: always in Python. ``_intrinsic`` replaces it in compiled kernels.
+        NotImplementedError: always when called from Python. Compiled kernels call the form from
+            ``_intrinsic`` instead.
     """
     raise NotImplementedError("only compiled kernels can call an address")
 
 
 def rows_at(address: int, count: int, kind: Any) -> Any:
-    """Return the array of ``count`` numbers or rows at an address.
+    """Return the ``count`` numbers or rows at an address in memory as an array.
 
-    Making an array inside a kernel takes no time, while an array argument takes 0.2 us per call.
+    An array made inside a kernel costs no time. Each array that is passed to a kernel costs 0.2 us
+    per call.
 
     Args:
         address: address of the first row.
         count: number of rows.
-        kind: dtype of a row.
+        kind: dtype of a number or row.
 
     Raises:
-        NotImplementedError: always in Python. ``_rows_at`` replaces it in compiled kernels.
+        NotImplementedError: always when called from Python. Compiled kernels call the form from
+            ``_rows_at`` instead.
     """
     raise NotImplementedError("only compiled kernels can read rows at an address")
 
@@ -83,7 +91,7 @@ def machine_code(module: ModuleType) -> Any:
     Division by zero gives inf or NaN, as in numpy.
 
     Returns:
-        Namespace of the compiled kernels by name.
+        Namespace with each compiled kernel under its name.
     """
     from numba import njit
 
@@ -94,8 +102,8 @@ def machine_code(module: ModuleType) -> Any:
     digest = _digest(set(imported.values()))
     for name, arguments in _KERNELS[module.__name__].items():
         kernel = FunctionType(vars(module)[name].__code__, names, name)  # calls compiled kernels, not Python functions
-        # The name is a part of numba's cache key: a change in an imported kernel gives another
-        # name.
+        # The qualified name is a part of numba's cache key. With the digest, a change in an
+        # imported kernel changes the key.
         kernel.__qualname__ = f"{name}{digest}"
         if arguments is None:
             names[name] = njit(error_model="numpy")(kernel)
@@ -105,7 +113,7 @@ def machine_code(module: ModuleType) -> Any:
 
 
 def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
-    """Return the kernels of other modules that a module has imported, each with its module."""
+    """Return the kernels imported by a module from other modules, each with the module of origin."""
     imported = {}
     for name, value in vars(module).items():
         owner = value.__module__ if isinstance(value, FunctionType) else module.__name__
@@ -115,7 +123,10 @@ def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
 
 
 def _digest(modules: set[ModuleType]) -> str:
-    """Return a digest of the sources of modules and of all modules whose kernels they import, empty for none."""
+    """Return a digest of the sources of modules and of all modules with imported kernels.
+
+    Empty for no modules.
+    """
     reached = set(modules)
     new = set(modules)
     while new:
@@ -128,19 +139,20 @@ def _digest(modules: set[ModuleType]) -> str:
 
 
 def _compile(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
-    """Compile a kernel and store its code for the next process, if a cache folder can be written."""
+    """Compile a kernel. Store the code for the next process, if a cache folder can be written."""
     from numba import njit
 
     try:
         return njit(arguments, cache=True, error_model="numpy")(kernel)
-    except RuntimeError:  # Neither the source folder nor the home of the user has a writable cache folder.
+    except RuntimeError:  # No cache folder is writable, neither with the sources nor in the user's home.
         return njit(arguments, error_model="numpy")(kernel)
 
 
 def use(module: ModuleType) -> None:
-    """Replace the kernels of a module by their compiled forms for all callers through the module in this process.
+    """Replace the kernels of a module by their compiled forms, in this process, for callers through the module.
 
-    Kernels for other kernels stay in Python, because they take objects as well as rows.
+    Kernels for other kernels only (``inner``) stay Python functions, because Python code also calls
+    them with objects.
     """
     compiled_kernels = machine_code(module)
     for name, arguments in _KERNELS[module.__name__].items():
@@ -149,7 +161,7 @@ def use(module: ModuleType) -> None:
 
 
 def _numba_type(name: Argument) -> Any:
-    """Return numba's type of an argument."""
+    """Return numba's type for the type of a kernel argument."""
     from numba import from_dtype, types
 
     if not isinstance(name, str):
@@ -164,8 +176,8 @@ def _numba_type(name: Argument) -> Any:
 def _intrinsic() -> Any:
     """Build the compiled form of ``call``.
 
-    The address is an argument and not a constant, because code with a constant address cannot be
-    stored for the next process.
+    The function's address is an argument of the compiled code. Code with a constant address could
+    not be stored for the next process.
     """
     from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
     from numba import types
@@ -202,10 +214,13 @@ def _rows_at() -> Any:
 
 
 def addresses(arrays: Iterable[Any]) -> list[int]:
-    """Return address and length of each array, for ``rows_at``. The arrays must outlive the use of the addresses."""
+    """Return the address and the length of each array, for ``rows_at``.
+
+    The caller must keep the arrays in memory.
+    """
     return [number for array in arrays for number in (array.ctypes.data, len(array))]
 
 
 def array_of(memory: Any, structure: type[ctypes.Structure]) -> Any:
-    """Return the memory of structures as an array of rows."""
+    """Return the memory of an array of structures as a numpy array of rows."""
     return np.frombuffer(memory, np.dtype(structure)) if ctypes.sizeof(memory) else np.empty(0, np.dtype(structure))

@@ -1,4 +1,7 @@
-"""The description of a hand as the simulator needs it, read from its TOML file with the standard library only."""
+"""The simulator's description of a hand, read from the hand file.
+
+Reading needs only Python's standard library.
+"""
 
 import importlib.util
 import math
@@ -20,20 +23,20 @@ PER_LINK_KEYS = (
     "spring_stiffness_N_m_per_rad",
     "spring_preload_rad",
 )
-"""Keys of a digit with a list of one value per link.
+"""Keys of a digit whose value is a list with one value for each link.
 
-In schema 2 a single number defines equal values.
+In hand files of schema 2, a single number stands for equal values of all links.
 """
 
 
 POWERS = 6
-"""Number of coefficients of a moment arm that depends on the angle."""
+"""Number of polynomial coefficients of a moment arm that depends on the joint angle."""
 TABLE_POWERS = 4
-"""Largest number of coefficients for a table of moment arms."""
+"""Maximum number of polynomial coefficients that are fitted to a table of moment arms."""
 
 
 class SimulatorError(ValueError):
-    """An error that the user of the simulator can correct, with a text of one line."""
+    """An error that the user of the simulator can correct. The message has a single line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,25 +44,28 @@ class Digit:
     """One finger or thumb. Tuples have one entry for each joint.
 
     Attributes:
-        name: name.
-        carrier: digit whose last link carries this digit, empty for the palm.
-        position: position of the first hinge in the palm frame, or in the frame of that link [m].
-        rpy_deg: extrinsic roll, pitch, yaw [deg].
+        name: name of the digit.
+        carrier: name of the digit whose last link carries this digit, empty for a digit on the
+            palm.
+        position: position of the first hinge in the palm frame, or in the frame of the carrier's
+            last link [m].
+        rpy_deg: extrinsic roll, pitch and yaw of the digit's mount in the same frame [deg].
         length: length of each link [m], 0 where the axes of two joints meet.
         axis: axis of each joint in the link's frame.
-        joint_rpy_deg: extrinsic roll, pitch, yaw of each link's frame at angle zero in the frame
-            before, which is that of the mount for the first link [deg].
-        com: centre of mass of each link, x, y, z in its frame [m].
+        joint_rpy_deg: extrinsic roll, pitch and yaw of each link's frame at joint angle zero, in
+            the frame of the previous link [deg]. The first link is turned in the frame of the
+            mount.
+        com: centre of mass of each link: x, y, z in the link's frame [m].
         mass: mass of each link [kg].
-        inertia: inertia of each link about its centre of mass, xx, yy, zz, xy, xz, yz in its frame
-            [kg m2].
-        radius: radius of the links [m].
-        joint_min_deg: lower stop of each joint [deg].
-        joint_max_deg: upper stop of each joint [deg].
-        damping: damping of each joint [N m s/rad].
-        armature: additional inertia of each joint [kg m2].
-        spring: stiffness of each return spring [N m/rad].
-        preload: preload angle of each return spring [rad].
+        inertia: inertia of each link about its centre of mass: xx, yy, zz, xy, xz, yz in the link's
+            frame [kg m2].
+        radius: radius of the links of this digit [m].
+        joint_min_deg: angle of the lower stop of each joint [deg].
+        joint_max_deg: angle of the upper stop of each joint [deg].
+        damping: viscous damping of each joint [N m s/rad].
+        armature: inertia that is added at each joint axis [kg m2].
+        spring: stiffness of the return spring of each joint [N m/rad].
+        preload: preload angle of the return spring of each joint [rad].
     """
 
     name: str
@@ -82,20 +88,20 @@ class Digit:
 
     @property
     def joints(self) -> list[str]:
-        """Return the names of the joints, from the palm outwards."""
+        """Return the names of the digit's joints, from the palm outwards."""
         return [f"{self.name}_j{i + 1}" for i in range(len(self.length))]
 
 
 @dataclass(frozen=True, slots=True)
 class LinkMesh:
-    """A mesh that pictures show as a link or as the palm.
+    """A mesh that stands for a link or for the palm in pictures of the hand.
 
     Attributes:
         link: name of the link, ``palm`` for the palm.
-        file: path of the file.
-        scale: factors from the file's unit to metres, for x, y, z.
+        file: path of the mesh file.
+        scale: factors from the unit of the mesh file to metres, for x, y, z.
         position: position of the mesh in the link's frame [m].
-        rpy_deg: extrinsic roll, pitch, yaw of the mesh [deg].
+        rpy_deg: extrinsic roll, pitch and yaw of the mesh in the link's frame [deg].
     """
 
     link: str
@@ -107,14 +113,15 @@ class LinkMesh:
 
 @dataclass(frozen=True, slots=True)
 class ArmCurve:
-    """Moment arm of a tendon at a joint by the joint angle.
+    """Moment arm of a tendon at a joint, as a function of the joint angle.
 
-    Beyond the limits of the joint the arm is constant.
+    At angles beyond the limits of the joint, the moment arm is constant.
 
     Attributes:
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
-        powers: ``POWERS`` coefficients of the polynomial by the angle in rad, constant first.
+        powers: ``POWERS`` coefficients of the polynomial that gives the arm [m] from the angle
+            [rad]. The constant comes first.
     """
 
     low: float
@@ -123,12 +130,12 @@ class ArmCurve:
 
     @property
     def opposite(self) -> "ArmCurve":
-        """Return the arm of a tendon on the other side of the joint."""
+        """Return the moment arm of a tendon on the other side of the joint: the same arm with the other sign."""
         return replace(self, powers=tuple(-power for power in self.powers))
 
     @property
     def mean(self) -> float:
-        """Return the mean over the joint's range [m]."""
+        """Return the mean moment arm over the range of the joint [m]."""
         area = 0.0
         for i, power in enumerate(self.powers, 1):
             area += power * (self.high**i - self.low**i) / i
@@ -137,21 +144,22 @@ class ArmCurve:
 
 @dataclass(frozen=True, slots=True)
 class TendonSpec:
-    """One tendon: routing, elasticity and friction.
+    """One tendon of a hand: routing, elasticity and friction.
 
     Attributes:
-        name: name.
-        motor: name of its motor.
-        arms: moment arm by joint name [m], the mean of one that depends on the angle.
-        curves: moment arms that depend on the angle, by joint name.
-        stiffness: stiffness up to the knee [N/m].
-        damping: damping [N s/m].
-        knee: maximum tension of the linear range [N].
-        after_knee_ratio: stiffness far beyond the knee, divided by ``stiffness``.
-        knee_width: width of the transition [m].
-        friction: capstan friction coefficient.
-        wrap: wrap angle before the first joint [rad].
-        pretension: tension of both tendons of a spool pair at rest [N], 0 for a single tendon.
+        name: name of the tendon.
+        motor: name of the motor that winds the tendon.
+        arms: moment arm of the tendon by joint name [m]. If the arm depends on the joint angle,
+            this is the mean.
+        curves: moment arms of the tendon that depend on the joint angle, by joint name.
+        stiffness: stiffness of the tendon at tensions below the knee [N/m].
+        damping: viscous damping of the tendon [N s/m].
+        knee: highest tension at which the tendon is linear [N].
+        after_knee_ratio: stiffness at tensions far above the knee, divided by ``stiffness``.
+        knee_width: width of the transition at the knee, as an elongation of the tendon [m].
+        friction: friction coefficient of the tendon in its guides, for the capstan equation.
+        wrap: wrap angle of the tendon before the first joint [rad].
+        pretension: tension at rest in both tendons of a spool pair [N], 0 for a single tendon.
         winding: 1 if a positive spool angle winds the tendon, -1 if it pays the tendon out.
     """
 
@@ -171,7 +179,7 @@ class TendonSpec:
 
     @property
     def antagonist(self) -> "TendonSpec":
-        """Return the second tendon of a spool pair: opposite winding and opposite arms."""
+        """Return the second tendon of a spool pair: a tendon with opposite winding and opposite moment arms."""
         arms = {joint: -arm for joint, arm in self.arms.items()}
         curves = {joint: curve.opposite for joint, curve in self.curves.items()}
         name = f"{self.name}_antagonist"
@@ -180,29 +188,33 @@ class TendonSpec:
 
 @dataclass(frozen=True, slots=True)
 class MotorSpec:
-    """One motor. All quantities are at the spool.
+    """One motor of a hand. All quantities are given at the spool.
 
     Attributes:
-        name: name.
-        protocol: protocol of the drive.
-        bus: name of its bus.
-        node_id: node number.
+        name: name of the motor.
+        protocol: CAN protocol of the motor's drive.
+        bus: name of the bus of the drive.
+        node_id: node number of the drive on the bus.
         spool_radius: radius of the spool [m].
-        inertia: inertia of the rotor [kg m2].
-        viscous: viscous friction [N m s/rad].
-        coulomb: Coulomb friction [N m].
-        torque_constant: torque constant [N m/A].
-        torque_max: continuous torque limit [N m].
-        torque_peak: peak torque [N m].
-        position_range: position range [rad].
-        velocity_range: velocity range [rad/s].
-        direction: +1 or -1, sign between motor angle and spool angle.
-        zero: encoder angle at theta = 0 of a homed hand [rad].
-        options: options of the protocol.
-        serial: serial number of the drive, None for the default of the protocol.
-        torque_gain: true torque divided by the torque that the drive believes, 1 unless perturbed.
-        top_speed: no-load speed at the supply voltage [rad/s], 0 for a motor without a speed limit.
-        stall_torque: torque at standstill if only the supply voltage limited it [N m].
+        inertia: moment of inertia of the rotor [kg m2].
+        viscous: viscous friction of the motor [N m s/rad].
+        coulomb: Coulomb friction of the motor [N m].
+        torque_constant: torque of the motor per current [N m/A].
+        torque_max: torque limit of the motor in continuous operation [N m].
+        torque_peak: torque limit of the motor for a short time [N m].
+        position_range: largest position in frames of the drive [rad].
+        velocity_range: largest velocity in frames of the drive [rad/s].
+        direction: +1 or -1, the sign of the motor angle when the spool angle is positive.
+        zero: encoder angle of the homed hand at which the spool angle theta is 0 [rad].
+        options: options of the drive's protocol.
+        serial: serial number of the drive. If it is None, the drive has the default number of the
+            protocol.
+        torque_gain: true torque divided by the torque that the drive derives from its current. 1
+            unless the plant is perturbed.
+        top_speed: speed of the motor without load at the supply voltage [rad/s], 0 for a motor
+            without a speed limit.
+        stall_torque: torque of the motor at standstill if only the supply voltage limited the
+            current [N m].
     """
 
     name: str
@@ -229,22 +241,22 @@ class MotorSpec:
 
 @dataclass(frozen=True, slots=True)
 class SensorSpec:
-    """The sensor node.
+    """The sensor node of a hand, which sends tensions and joint angles.
 
     Attributes:
-        bus: name of its bus.
-        sync_id: identifier of SYNC.
-        base_id: identifier of the first tension frame.
-        tendons: tendon of each load cell.
-        joints: joint of each encoder.
-        joint_decimation: SYNCs for each joint frame.
-        tension_noise: standard deviation of a tension [N].
-        bias_drift: standard deviation of a load cell's random walk after 100 s [N].
-        joint_noise: standard deviation of a joint angle [rad].
-        tension_bias: constant error of every load cell [N], 0 unless perturbed.
+        bus: name of the bus of the sensor node.
+        sync_id: identifier of the SYNC frame to which the node answers.
+        base_id: identifier of the first frame with tensions.
+        tendons: name of the tendon of each load cell.
+        joints: name of the joint of each joint encoder.
+        joint_decimation: number of SYNC frames for each frame with joint angles.
+        tension_noise: standard deviation of the noise of a measured tension [N].
+        bias_drift: standard deviation of the random drift of a load cell after 100 s [N].
+        joint_noise: standard deviation of the noise of a measured joint angle [rad].
+        tension_bias: constant error of every load cell [N], 0 unless the plant is perturbed.
         node_ids: node number of each CiA 404 amplifier, empty for the sensor node of handctl.
-        channels_per_node: channels of an amplifier.
-        full_range: rated load of the load cells on amplifiers [N].
+        channels_per_node: number of channels of each CiA 404 amplifier.
+        full_range: rated load of the load cells that are connected to CiA 404 amplifiers [N].
     """
 
     bus: str
@@ -264,20 +276,20 @@ class SensorSpec:
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """A whole hand.
+    """The description of a whole hand.
 
     Attributes:
-        name: name.
-        gravity: gravity in the palm frame [m/s2].
-        buses: names of the buses.
-        bitrates: nominal bit rate and bit rate of the data phase of each bus [bit/s], 0 without CAN
-            FD.
-        digits: digits.
-        tendons: tendons, the first one of each spool pair.
-        motors: motors.
-        sensors: sensor node, None without.
-        meshes: meshes of links and palm, for pictures. The plant does not use the meshes, and the
-            comparison of hands ignores them.
+        name: name of the hand.
+        gravity: acceleration of gravity in the palm frame [m/s2].
+        buses: names of the CAN buses of the hand.
+        bitrates: nominal bit rate and data bit rate of each bus [bit/s]. The data bit rate is 0
+            without CAN FD.
+        digits: all digits of the hand.
+        tendons: all tendons of the hand, but of each spool pair only the first tendon.
+        motors: all motors of the hand.
+        sensors: sensor node of the hand, None for a hand without one.
+        meshes: meshes of the links and of the palm, for pictures. The plant does not use the
+            meshes, and the comparison of hands ignores them.
     """
 
     name: str
@@ -291,7 +303,10 @@ class Hand:
     meshes: tuple[LinkMesh, ...] = field(default=(), compare=False)
 
     def carried_by(self, carrier: str) -> list[Digit]:
-        """Return the digits on the last link of another digit, or on the palm for an empty name."""
+        """Return the digits mounted on the last link of the digit ``carrier``.
+
+        An empty name stands for the palm.
+        """
         return [digit for digit in self.digits if digit.carrier == carrier]
 
     @property
@@ -301,7 +316,7 @@ class Hand:
 
     @property
     def every_tendon(self) -> list[TendonSpec]:
-        """Return all tendons: after ``tendons`` the second one of each spool pair."""
+        """Return all tendons: first those of ``tendons``, then the second tendon of each spool pair."""
         return [*self.tendons, *(tendon.antagonist for tendon in self.pairs)]
 
     @property
@@ -311,7 +326,7 @@ class Hand:
 
     @property
     def joints(self) -> list[str]:
-        """Return the names of all joints in the order of the digits."""
+        """Return the names of all joints of the hand, digit by digit."""
         return [joint for digit in self.digits for joint in digit.joints]
 
 
@@ -319,7 +334,7 @@ def find_hand(name_or_path: str) -> Path:
     """Find the file of a hand.
 
     Args:
-        name_or_path: packaged name or path of a .toml file.
+        name_or_path: name of a packaged hand, or path of a .toml file.
 
     Raises:
         SimulatorError: the file does not exist.
@@ -339,21 +354,21 @@ def load_hand(name_or_path: str) -> Hand:
     """Load a hand file.
 
     Raises:
-        SimulatorError: the file is missing, is not TOML, or lacks a key.
+        SimulatorError: the hand file is missing, is not TOML, or lacks a key.
     """
     path = find_hand(name_or_path)
     try:
         return _hand(_resolved(tomllib.loads(path.read_text("utf-8"))), path.parent)
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # The file has an endless number, or is not UTF-8.
+    except (ValueError, RecursionError) as error:  # A number is too long, or the file is not UTF-8.
         raise SimulatorError(f"{path}: not TOML: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
         raise SimulatorError(f"{path}: not a complete hand: missing or wrong key {error}") from error
 
 
 def _resolved(raw: dict[str, Any]) -> dict[str, Any]:
-    """Return a hand file of schema 2 with its defaults and templates replaced by values."""
+    """Return the content of a hand file of schema 2, in which values replace the defaults and templates."""
     if raw.get("schema") != 2:
         return raw
     sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}
@@ -388,14 +403,14 @@ def _resolved(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_template(raw: dict[str, Any], kind: str, entry: dict[str, Any]) -> dict[str, Any]:
-    """Return an entry with missing keys taken from its template, then from the default of its kind."""
+    """Return an entry with missing keys filled from the template, then from the defaults of the entry's kind."""
     default = raw.get("default", {}).get(kind, {})
     template = raw[f"{kind}_template"][entry["template"]] if "template" in entry else {}
     return _merged(_merged(default, template), entry)
 
 
 def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Return two tables merged key by key. ``above`` wins."""
+    """Return two tables merged key by key. Where both have a value, ``above`` decides."""
     tables = {key: _merged(below[key], value) for key, value in above.items()
               if isinstance(value, dict) and isinstance(below.get(key), dict)}  # fmt: skip
     return below | above | tables
@@ -417,7 +432,10 @@ def _hand(raw: dict[str, Any], folder: Path) -> Hand:
 
 
 def _meshes(raw: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
-    """Yield the meshes of a hand, with paths relative to the folder of its file."""
+    """Yield the meshes of a hand.
+
+    Relative paths of mesh files start at the folder of the hand file.
+    """
     mount = raw["mount"]
     pose_keys = ("scale", "position_m", "rpy_deg")
     if mount.get("palm_mesh"):
@@ -433,7 +451,7 @@ def _meshes(raw: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
 
 
 def _mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
-    """Return a mesh. None means no scaling, no shift or no rotation."""
+    """Return a mesh. An argument of None stands for no scaling, no shift or no rotation."""
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
         link=link,
@@ -473,20 +491,20 @@ def _digit(raw: dict[str, Any]) -> Digit:
 
 
 def _inertia(raw: dict[str, Any], i: int) -> tuple[float, ...]:
-    """Return the six values of the inertia of link i.
+    """Return the six inertia values of link ``i`` of a digit.
 
-    A single number is the moment of inertia of a round bar about y and z.
+    If the file has a single number, it is the moment of inertia of a round bar about y and z.
     """
     value = raw["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
-        # No principal moment of a body is larger than the sum of the other two.
+        # No principal moment of inertia of a body exceeds the sum of the other two.
         along = min(raw["link_mass_kg"][i] * raw["link_radius_m"] ** 2 / 2, 2 * value)
         return (along, value, value, 0.0, 0.0, 0.0)
     return tuple(value) if len(value) == 6 else (*value, 0.0, 0.0, 0.0)
 
 
 def _joint_ranges(raw: dict[str, Any]) -> dict[str, tuple[float, float]]:
-    """Return the limits of each joint [rad]."""
+    """Return the lower and upper limit of each joint by joint name [rad]."""
     return {
         f"{digit['name']}_j{i + 1}": (math.radians(low), math.radians(high))
         for digit in raw["digit"]
@@ -496,10 +514,12 @@ def _joint_ranges(raw: dict[str, Any]) -> dict[str, tuple[float, float]]:
 
 
 def _curve(raw: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
-    """Return a moment arm that depends on the angle. A table becomes a polynomial of least squares.
+    """Return a moment arm that depends on the joint angle.
+
+    A table of arms is replaced by a least-squares polynomial.
 
     Args:
-        raw: ``polynomial_m``, or ``angle_deg`` and ``arm_m``.
+        raw: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
         limits: limits of the joint [rad].
     """
     powers = raw.get("polynomial_m")
@@ -509,7 +529,7 @@ def _curve(raw: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve
 
 
 def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
-    """Return the least-squares polynomial of a table, by the normal equations."""
+    """Fit a polynomial to a table of moment arms by least squares (normal equations), and return its coefficients."""
     count = min(TABLE_POWERS, len(angles))
     rows = [
         [math.fsum(angle ** (i + j) for angle in angles) for j in range(count)]
@@ -517,7 +537,7 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
         for i in range(count)
     ]
     for k in range(count):
-        # The matrix is symmetric and positive definite: elimination needs no other pivot.
+        # The matrix is symmetric and positive definite, so elimination needs no exchange of rows.
         rows[k] = [value / rows[k][k] for value in rows[k]]
         for i in range(count):
             if i != k:

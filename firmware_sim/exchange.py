@@ -1,4 +1,7 @@
-"""The exchange of one tick as records. A compiled kernel answers cyclic frames, nodes answer all others one by one."""
+"""The frames of one tick and their answers as records.
+
+A compiled kernel answers cyclic frames, nodes all others.
+"""
 
 from operator import is_not
 from typing import Any
@@ -17,23 +20,23 @@ from firmware_sim.nodes.protocol_spec import SENSORS
 from firmware_sim.nodes.sensors import CHANNELS, SensorStruct
 
 INITIAL_CAPACITY = 64
-"""Initial capacity for the answers of a tick."""
+"""Initial capacity of the array for the answers of a tick [frames]."""
 
 
 class Exchange:
-    """The answers to the frames of a tick, for a world whose nodes have rows.
+    """The computation of the answers of a tick, for a world with node states in array rows.
 
     Attributes:
-        sends_unsolicited: True if the kernel sends unsolicited frames of drives, False if the world
-            sends them.
+        sends_unsolicited: True if the compiled kernel sends the unsolicited frames of drives, False
+            if the world sends them.
     """
 
     def __init__(self, world: Any, rows: dict[type, Any]) -> None:
-        """Collect the arrays for the kernel.
+        """Collect the arrays on which the compiled kernel works.
 
         Args:
-            world: world of the nodes.
-            rows: array of the nodes' rows, by row type.
+            world: world to which the nodes belong.
+            rows: arrays of rows with the states of nodes, by row type.
         """
         self._world, self._kernels = world, machine_code(cyclic)
         self._capacity = INITIAL_CAPACITY
@@ -65,15 +68,16 @@ class Exchange:
         self._table = None
 
     def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
-        """Answer frames.
+        """Answer the frames that the host has sent in a tick.
 
         Args:
-            frames: array of ``RECORD``.
+            frames: frames of the host, an array of ``RECORD``.
             t_ns: start of the tick [ns].
-            last_ns: maximum delay of an answer [ns].
+            last_ns: maximum delay of an answer after the start of the tick [ns].
 
         Returns:
-            The answers, stamped as if they followed one another, and True if their times rise.
+            The answers, with times as if they were sent one after the other, and True if the times
+            are in rising order.
         """
         world = self._world
         progress = self._progress
@@ -101,7 +105,7 @@ class Exchange:
             self._drop_stale_table()
 
     def _run(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
-        """Run the kernel until a frame needs Python."""
+        """Run the compiled kernel up to the first frame that a node must answer in Python."""
         if self._table is None:
             self._build_table()
         if self._noise:
@@ -109,12 +113,12 @@ class Exchange:
         self._kernels.answer(frames, answers, self._addresses, t_ns, last_ns, self._max_answers)
 
     def _enlarged(self, answers: Any) -> Any:
-        """Return the answers in an array of twice the capacity."""
+        """Return the array of answers, copied into an array of twice the capacity."""
         self._capacity = 2 * len(answers)
         return np.concatenate((answers, np.empty(len(answers), RECORD)))
 
     def _appended(self, answers: Any, frames: list[Frame]) -> Any:
-        """Return the answers with more frames."""
+        """Return the array of answers with more frames appended."""
         count = int(self._progress[ANSWERS])
         new = len(frames)
         while count + new > len(answers):
@@ -124,24 +128,29 @@ class Exchange:
         return answers
 
     def _build_table(self) -> None:
-        """Build the table of receivers. Identifiers that a node without a row may answer are left to Python."""
+        """Build the table of receivers by identifier.
+
+        Python handles identifiers that a node without a row may answer.
+        """
         world = self._world
         receivers = list[tuple[int, int, int]]()
         table = cyclic.empty_table(len(world.nodes))
         for bus, nodes in enumerate(world.nodes):
-            # If a test has replaced ``receive`` of a node, Python must process every frame of the
-            # node.
+            # If a test has replaced the method ``receive`` of a node, Python must handle every
+            # frame for this node.
             by_kernel = [id(node) in world.row_of and "receive" not in vars(node) for node in nodes]
             cyclic_ids = {
                 id(node): node.cyclic_ids if compiled else () for node, compiled in zip(nodes, by_kernel, strict=True)
             }
             for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
                 accepting = [node for node in nodes if _accepts(node, can_id)]
-                # A node without a row shares the identifier. Python must see these frames.
+                # A node without a row also accepts this identifier, so Python must handle these
+                # frames.
                 if not all(can_id in cyclic_ids[id(node)] for node in accepting):
                     continue
                 next_receiver = -1
-                # Each entry links to the next, so the list is built from its end.
+                # Each entry holds the index of the next receiver, so the list is built from its
+                # end.
                 for node in reversed(accepting):
                     receivers.append((*world.row_of[id(node)], next_receiver))
                     next_receiver = len(receivers) - 1
@@ -163,33 +172,36 @@ class Exchange:
         self._addresses = np.array(addresses(arrays), np.int64)
 
     def _identifiers(self) -> list[Any]:
-        """Return the identifiers of each node, new objects after each change."""
+        """Return the identifiers that each node accepts.
+
+        A node returns another object after a change.
+        """
         return [getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes]
 
     def _drop_stale_table(self) -> None:
-        """Remove the table if a node's identifiers have changed."""
+        """Remove the table of receivers if the identifiers of a node have changed."""
         if self._table is not None and any(map(is_not, self._identifiers_seen, self._identifiers())):
             self._table = None
 
     @property
     def wake_ns(self) -> int:
-        """Return the earliest wake time of drives with rows [ns], as of the end of ``answer`` or ``send_due``."""
+        """Return the earliest wake time of drives with rows [ns], as the last ``answer`` or ``send_due`` left it."""
         return int(self._progress[WAKE_NS])
 
     def next_wake(self) -> int:
-        """Return the earliest wake time of drives with rows [ns]."""
+        """Return the present earliest wake time of drives with rows [ns]."""
         if self._table is None:
             self._build_table()
         return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))
 
     def send_due(self, now_ns: int) -> bool:
-        """Send the unsolicited frames that are due.
+        """Send the unsolicited frames of drives that are due.
 
         Args:
             now_ns: present time [ns].
 
         Returns:
-            False, with no change, if a node must be woken in Python.
+            False if a node must be woken in Python. No frame is sent then.
         """
         if not self.sends_unsolicited or self._world.faults.in_frames:
             return False
@@ -204,13 +216,16 @@ class Exchange:
         )
 
     def take_sent(self) -> Any:
-        """Return the unsolicited frames since the last call, valid until the next frame is sent."""
+        """Return the unsolicited frames since the last call.
+
+        The array is valid until the next frame is sent.
+        """
         count = int(self._progress[SENT])
         self._progress[SENT] = 0
         return self._sent[:count]
 
     def merged(self, first: Any, second: Any) -> Any:
-        """Return the frames of two arrays, sorted by time."""
+        """Return the frames of two arrays in one array, sorted by time."""
         out = np.empty(len(first) + len(second), RECORD)
         self._kernels.merge(first, second, out)
         return out

@@ -1,4 +1,4 @@
-"""Tree of links in a robot description, URDF or MJCF, read by MuJoCo. The result has plain values only."""
+"""Reading of the tree of links in a robot description (URDF or MJCF) with MuJoCo, as plain values."""
 
 import warnings
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from firmware_sim.model_meshes import BodyMesh, mjcf_meshes, rotation_of, urdf_f
 from firmware_sim.printing import one_line
 
 ROOTS = {"urdf": "robot", "mjcf": "mujoco"}
-"""First element of each format."""
+"""Tag of the first XML element of each format."""
 MODEL_SUFFIXES = (".urdf", ".xml")
-"""Endings of the files that MuJoCo reads."""
+"""Suffixes of model files that MuJoCo reads."""
 URDF_JOINTS = ("revolute", "continuous", "fixed")
 """Joint types of URDF that a hand can have."""
 UNSUPPORTED_JOINTS = {
@@ -26,35 +26,39 @@ UNSUPPORTED_JOINTS = {
 }
 """Joint types of MuJoCo that a hand cannot have."""
 ROUND_SHAPES = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE)
-"""Shapes with a radius. The first such shape of a link gives the radius of the link."""
+"""Shapes with a radius, the preferred ones first. They give the radius of a link."""
 BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-"""Corners of a box whose half extents are 1."""
+"""Corners of a box around the origin with edges of length 2, (8, 3)."""
 
 
 def read_model_file(path: str, kind: str) -> dict[str, Any]:
-    """Read the tree of links of a hand.
+    """Read the tree of links of a hand from a URDF or MJCF file.
 
-    All poses are given for joints at angle zero, which is the pose in the file. Bodies that are
-    fixed to each other are one link. The frame of a link has its origin in the joint.
+    All returned poses are those with all joints at angle zero, as in the file. Bodies fixed to each
+    other become a single link. The frame of a link has its origin in the link's joint.
 
     Args:
-        path: the file.
+        path: path of the URDF or MJCF file.
         kind: ``urdf`` or ``mjcf``.
 
     Returns:
-        Plain values:
+        Plain values in a table:
 
         - ``name``: name of the model.
-        - ``gravity``: (3,) in the root frame [m/s2], None if the format has none.
-        - ``palm``: named frames on the root, by name (3,) [m].
-        - ``palm_meshes``: meshes on the root, as those of a link.
-        - ``links``: one table per joint, see ``_link``, parents first. ``meshes`` of each are tables
-          with ``file``, ``scale`` (3,), ``position`` (3,) [m] and ``rotation`` (3, 3) in its frame.
-        - ``tendons``: name, arms by joint [m], motor or None, and largest tension or None [N].
+        - ``gravity``: (3,) acceleration of gravity in the root frame [m/s2], None if the format has
+          none.
+        - ``palm``: (3,) origin of each named frame on the root, by name [m].
+        - ``palm_meshes``: meshes on the root, in the form of the ``meshes`` of a link.
+        - ``links``: one table for each link, see ``_link``, parents first. The ``meshes`` of a link
+          are tables with ``file``, ``scale`` (3,), ``position`` (3,) [m] and ``rotation`` (3, 3) in
+          the link's frame.
+        - ``tendons``: name, moment arms by joint [m], motor or None, and maximum tension or None
+          [N] of each tendon.
         - ``notes``: one line for each part of the file that was not read.
 
     Raises:
-        SimulatorError: the file is not readable, or describes no tree of hinges with inertia.
+        SimulatorError: the file is not readable, or does not describe a tree of links with inertia
+            and hinges.
     """
     root = _root(path, kind)
     if kind == "urdf":
@@ -87,7 +91,7 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
 
 
 def _root(path: str, kind: str) -> ET.Element:
-    """Parse the XML and check its first element."""
+    """Parse the XML of a model file, check its first element and return the element."""
     try:
         root = ET.parse(path).getroot()
     except OSError as error:
@@ -109,7 +113,7 @@ def _form(kind: str) -> str:
 def _check_joint_types(root: ET.Element, path: str) -> None:
     """Refuse joints of a URDF that a hand cannot have.
 
-    MuJoCo would read some of them as joints of another type.
+    MuJoCo would read some of these joints as joints of another type.
     """
     for joint in root.iter("joint"):
         kind = joint.get("type")
@@ -123,13 +127,16 @@ def _check_joint_types(root: ET.Element, path: str) -> None:
 
 
 def _compiled(path: str, kind: str, root: ET.Element, notes: list[str]) -> tuple[Any, Any]:
-    """Compile the file without merging fixed bodies. Shapes of unreadable meshes are left out."""
+    """Compile the model file without merging fixed bodies.
+
+    If a mesh is unreadable, shapes of meshes are left out.
+    """
     try:
         spec = _parsed(path)
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
         if kind == "urdf":
-            # The inertia of a URDF is in its own elements, not in the shapes.
+            # In a URDF, elements of their own give the inertia, not the shapes.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, root, Path(path).absolute().parent)
         try:
@@ -145,9 +152,9 @@ def _compiled(path: str, kind: str, root: ET.Element, notes: list[str]) -> tuple
 
 
 def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
-    """Give the meshes of a URDF the paths where their files are.
+    """Replace the mesh names of a URDF by the paths of the mesh files.
 
-    MuJoCo does not support packages, and ignores folders.
+    MuJoCo itself finds no files in ROS packages, and ignores the folder in a mesh name.
     """
     places = {PurePath(name).name: place for name, place in urdf_files(root, folder).items()}
     for mesh in spec.meshes:
@@ -156,9 +163,10 @@ def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
 
 
 def _model(spec: Any) -> Any:
-    """Compile without warnings.
+    """Compile a model and suppress the warnings of MuJoCo.
 
-    The warnings concern the dynamics, and would appear beside an error of one line.
+    The warnings concern dynamics, which are not used here. The warnings would appear beside a
+    one-line error message.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -166,7 +174,10 @@ def _model(spec: Any) -> Any:
 
 
 def _parsed(path: str) -> Any:
-    """Parse the file. MuJoCo accepts files with other suffixes only as a text."""
+    """Parse a model file.
+
+    A file without a suffix of ``MODEL_SUFFIXES`` is given to MuJoCo as text.
+    """
     if Path(path).suffix in MODEL_SUFFIXES:
         return mujoco.MjSpec.from_file(path)
     spec = mujoco.MjSpec.from_string(Path(path).read_text(encoding="utf-8"))
@@ -175,7 +186,10 @@ def _parsed(path: str) -> Any:
 
 
 def _remove_meshes(spec: Any) -> bool:
-    """Remove all shapes of meshes, and all images. Return False if there are none."""
+    """Remove all shapes with a mesh and all images from a model.
+
+    Return False if there were none.
+    """
     shapes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     parts = [*shapes, *spec.meshes, *spec.textures]
     for geom in spec.geoms:
@@ -186,7 +200,7 @@ def _remove_meshes(spec: Any) -> bool:
 
 
 def _first_line(error: Exception) -> str:
-    """Return an error of MuJoCo in one line."""
+    """Return the message of a MuJoCo error in one line."""
     text = " ".join(str(error).split()).removeprefix("Error: ")
     if "moving bodies" in text:
         text += "; expected a mass and an inertia for each link that moves"
@@ -194,7 +208,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _check_structure(model: Any, path: str) -> None:
-    """Check for a tree of hinges, one for each body that moves."""
+    """Check that the model is a tree in which each moving body has exactly one hinge."""
     if model.njnt == 0:
         raise SimulatorError(f"{path}: no joints; expected a hand with hinges")
     for joint in range(model.njnt):
@@ -215,26 +229,28 @@ def _joint_name(model: Any, joint: int) -> str:
 
 
 def _members(model: Any, root: int) -> list[int]:
-    """Return the bodies that are fixed to a body, with itself."""
+    """Return a body and all bodies fixed to the body."""
     return [body for body in range(model.nbody) if model.body_weldid[body] == root]
 
 
 def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict[str, Any]:
-    """Return one link.
+    """Return one link of the model.
 
     Returns:
-        Plain values:
+        Plain values in a table:
 
-        - ``name`` of the body and ``joint``: name of its joint.
-        - ``parent``: position of the parent among the links, -1 for the root.
-        - ``position`` (3,) [m] and ``rotation`` (3, 3) in the frame of the parent.
-        - ``axis``: (3,) in the frame of the link.
-        - ``range``: (2,) [rad], None without limits.
-        - ``damping``, ``armature``, ``stiffness`` of the joint, and ``rest``: angle of the free spring [rad].
-        - ``mass`` [kg], ``com`` (3,) [m], ``inertia`` (3, 3) about the centre of mass [kg m2].
-        - ``frames``: named frames by name, (3,) [m].
-        - ``points``: corners of the boxes around its shapes, (n, 3) [m].
-        - ``radius``: half width of its shapes [m], None without shapes.
+        - ``name``: name of the body, and ``joint``: name of its joint.
+        - ``parent``: index of the parent in the list of links, -1 for the root.
+        - ``position`` (3,) [m] and ``rotation`` (3, 3) of the link in the frame of its parent.
+        - ``axis``: (3,) axis of the joint in the frame of the link.
+        - ``range``: (2,) limits of the joint [rad], None for a joint without limits.
+        - ``damping``, ``armature`` and ``stiffness`` of the joint, and ``rest``: angle of the free
+          spring of the joint [rad].
+        - ``mass`` [kg], ``com``: (3,) centre of mass [m], ``inertia``: (3, 3) about the centre of
+          mass [kg m2].
+        - ``frames``: (3,) origin of each named frame on the link, by name [m].
+        - ``points``: (n, 3) corners of the boxes around the shapes of the link [m].
+        - ``radius``: half width of the shapes of the link [m], None for a link without shapes.
     """
     joint = int(model.body_jntadr[body])
     dof = int(model.jnt_dofadr[joint])
@@ -274,7 +290,7 @@ def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict
 def _meshes(
     meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, turn: Any
 ) -> list[dict[str, Any]]:
-    """Return the meshes of a link in its frame, as plain values."""
+    """Return the meshes of a link as plain values, placed in the link's frame."""
     found = []
     members = _members(model, root)
     for mesh in meshes:
@@ -293,7 +309,7 @@ def _meshes(
 def _inertia(
     model: Any, data: Any, members: list[int], origin: Any, turn: Any
 ) -> tuple[float, list[float], list[list[float]]]:
-    """Return mass, centre of mass, and inertia about this centre of bodies fixed to each other, in a link's frame."""
+    """Return mass, centre of mass and central inertia of bodies fixed to each other, in a link's frame."""
     masses = model.body_mass[members]
     mass = float(masses.sum())
     if mass <= 0.0:
@@ -303,17 +319,17 @@ def _inertia(
     for body in members:
         axes = data.ximat[body].reshape(3, 3)
         away = data.xipos[body] - centre
-        # Steiner's theorem.
+        # Steiner's theorem moves the inertia of each body to the common centre of mass.
         total += axes @ np.diag(model.body_inertia[body]) @ axes.T
         total += model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
     return mass, (turn.T @ (centre - origin)).tolist(), (turn.T @ total @ turn).tolist()
 
 
 def _frames(model: Any, data: Any, root: int, origin: Any, turn: Any) -> dict[str, list[float]]:
-    """Return the named frames on a link: bodies fixed to it, and sites. (3,) each in the link's frame [m]."""
+    """Return the origins (3,) of the named bodies and sites fixed to a link, by name, in the link's frame [m]."""
     members = _members(model, root)
     places = {model.body(body).name: data.xpos[body] for body in members if body != root}
-    # Sites are not placed by the kinematics of MuJoCo before the first step.
+    # MuJoCo places sites only in the first step, so their places are computed here.
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
         if body in members:
@@ -324,7 +340,7 @@ def _frames(model: Any, data: Any, root: int, origin: Any, turn: Any) -> dict[st
 def _shapes(
     model: Any, data: Any, members: list[int], origin: Any, turn: Any
 ) -> tuple[list[list[float]], float | None]:
-    """Return the corners of the shapes of a link, (n, 3) [m], and the half width of the link or None [m]."""
+    """Return the corners (n, 3) of the boxes around a link's shapes [m], and the link's half width [m] or None."""
     corners: list[Any] = []
     radii: dict[int, float] = {}
     for geom in range(model.ngeom):
@@ -345,7 +361,7 @@ def _shapes(
 
 
 def _tendons(model: Any, notes: list[str]) -> list[dict[str, Any]]:
-    """Return the fixed tendons with their moment arms, and the motors that pull them."""
+    """Return the tendons with constant moment arms, each with arms and pulling motor."""
     found = []
     for tendon in range(model.ntendon):
         name = model.tendon(tendon).name or f"tendon_{tendon + 1}"
@@ -366,7 +382,7 @@ def _tendons(model: Any, notes: list[str]) -> list[dict[str, Any]]:
 
 
 def _pull(model: Any, motors: list[int]) -> dict[str, Any]:
-    """Return the name of a tendon's only actuator, and its largest tension if its control is a tension [N]."""
+    """Return the name of a tendon's only actuator, and the maximum tension [N] if the actuator controls tension."""
     if len(motors) != 1:
         return {"motor": None, "tension_max": None}
     motor = motors[0]

@@ -1,4 +1,7 @@
-"""Meshes in a robot description, URDF or MJCF: files and places. The files are not read here."""
+"""Files and places of the meshes in a robot description, URDF or MJCF.
+
+The mesh files themselves are not read.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path, PurePath
@@ -9,20 +12,20 @@ import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
 PACKAGE_PREFIX = "package://"
-"""Start of a path within a ROS package."""
+"""Prefix of a mesh path within a ROS package."""
 SCHEME_PREFIX = "file://"
-"""Start of a path with a scheme."""
+"""Prefix of a mesh path that is given as a file URL."""
 
 
 class BodyMesh(NamedTuple):
-    """Mesh on a body.
+    """A mesh that is fixed to a body of the model.
 
     Attributes:
         body: number of the body, 0 for the world.
-        file: path of the file.
-        scale: (3,) factors from the unit of the file to metres.
-        position: (3,) in the frame of the body [m].
-        rotation: (3, 3) to the frame of the body.
+        file: path of the mesh file.
+        scale: (3,) factors from the unit of the mesh file to metres.
+        position: (3,) origin of the mesh in the frame of the body [m].
+        rotation: (3, 3) from the axes of the mesh to the frame of the body.
     """
 
     body: int
@@ -33,13 +36,16 @@ class BodyMesh(NamedTuple):
 
 
 def urdf_files(root: ET.Element, folder: Path) -> dict[str, Path]:
-    """Return the path of each mesh file of a URDF by its name in the URDF."""
+    """Return the path of each mesh file of a URDF, by the name that the URDF gives to the file."""
     names = {mesh.get("filename", "") for mesh in root.iter("mesh")}
     return {name: _urdf_path(name, folder) for name in names if name}
 
 
 def _urdf_path(name: str, folder: Path) -> Path:
-    """Return the path of a mesh of a URDF. A package is a folder above the URDF or beside one."""
+    """Return the path of a mesh file of a URDF.
+
+    A ROS package is searched in all folders above the URDF.
+    """
     if not name.startswith(PACKAGE_PREFIX):
         return folder / name.removeprefix(SCHEME_PREFIX)
     package, *parts = PurePath(name.removeprefix(PACKAGE_PREFIX)).parts
@@ -53,9 +59,9 @@ def urdf_meshes(root: ET.Element, folder: Path, model: Any) -> Iterator[BodyMesh
     """Yield the visual meshes of a URDF.
 
     Args:
-        root: first element.
+        root: first XML element of the URDF.
         folder: folder of the URDF.
-        model: compiled model, with the bodies of all links but the root.
+        model: compiled model with a body for each link except the root link.
     """
     files = urdf_files(root, folder)
     for link in root.iter("link"):
@@ -78,18 +84,20 @@ def urdf_meshes(root: ET.Element, folder: Path, model: Any) -> Iterator[BodyMesh
 
 
 def _numbers(text: str) -> Any:
-    """Return the three numbers of an attribute."""
+    """Return the three numbers in the text of an XML attribute."""
     return np.array([float(word) for word in text.split()])
 
 
 def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterator[BodyMesh]:
-    """Yield the meshes of a model of MJCF, those without contacts if a body has such meshes.
+    """Yield the meshes of an MJCF model.
+
+    If a body has meshes without contacts, only these are yielded.
 
     Args:
-        spec: source of the model.
+        spec: source of the model (``mujoco.MjSpec``).
         model: compiled model.
-        folder: folder of the file.
-        notes: one line is added for each mesh whose place a hand file cannot have.
+        folder: folder of the MJCF file.
+        notes: list of notes. A line is added for each mesh whose place a hand file cannot express.
     """
     geoms = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     visual = (model.geom_contype | model.geom_conaffinity) == 0
@@ -105,7 +113,8 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
         if np.ptp(scale) and not np.array_equal(reference, np.eye(3)):
             notes.append(f"mesh {asset.file} is not read: it is scaled differently along axes after a turn")
             continue
-        # MuJoCo moves the vertices v to scale * reference^T (v - refpos), and then to the axes of their inertia.
+        # MuJoCo moves each vertex v to scale * reference^T (v - refpos), then turns the mesh to its
+        # principal axes of inertia.
         mesh = int(model.geom_dataid[geom])
         rotation = rotation_of(model.geom_quat[geom]) @ rotation_of(model.mesh_quat[mesh]).T
         origin = model.geom_pos[geom] - rotation @ model.mesh_pos[mesh]
@@ -119,7 +128,7 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
 
 
 def rotation_of(quaternion: Any) -> Any:
-    """Return the rotation of a quaternion, (3, 3)."""
+    """Return the rotation matrix (3, 3) of a quaternion."""
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)

@@ -1,4 +1,4 @@
-"""The pace of the plant: reports of a plant behind its clock, and the pace that this machine can keep."""
+"""The pace of the simulation: reports of a delay behind the clock, and an advised pace for this machine."""
 
 import math
 import os
@@ -8,26 +8,29 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 REPORT_PERIOD_S = 1.0
-"""Minimum time between two reports [s]."""
+"""Minimum time between two reports of slips [s]."""
 SLOW_MACHINE_SLIPS = 3
-"""Smallest number of slips in one report period that indicates a slow machine.
+"""Number of slips within a report period from which a machine counts as too slow.
 
-Fewer slips are a short stop.
+With fewer slips, the process was only stopped for a moment.
 """
 CORE_FRACTION = 0.5
-"""Fraction of a core for the simulator. Controller, recorder and system need the rest."""
+"""Fraction of a processor core for the simulator.
+
+Controller, recorder and system need the rest.
+"""
 ADVISED_FRACTION = 0.8
-"""Advised pace as a fraction of the measured pace."""
+"""Advised pace divided by the pace that the machine can keep."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockReadings:
-    """Clock readings at one time.
+    """Readings of all clocks at the same time.
 
     Attributes:
-        wall_s: wall clock [s].
+        wall_s: time of the wall clock [s].
         cpu_s: computing time of this process [s].
-        plant_s: time of the plant [s].
+        plant_s: simulated time of the plant [s].
     """
 
     wall_s: float
@@ -36,11 +39,11 @@ class ClockReadings:
 
 
 class Pace:
-    """Counter of slips that measures and reports the pace.
+    """Counter of the clock's slips that measures and reports the pace of the simulation.
 
     Attributes:
-        advice: plant time per wall time that this machine can keep, None until the machine proves
-            too slow.
+        advice: pace that this machine can keep, as plant time per wall time. None until the machine
+            proves too slow.
     """
 
     def __init__(
@@ -51,14 +54,14 @@ class Pace:
         report_line: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True),
         time_scale: float = 1.0,
     ) -> None:
-        """Start to measure.
+        """Start to measure the pace.
 
         Args:
-            plant_ns: time of the plant [ns].
-            wall_s: wall clock [s].
-            cpu_s: computing time of this process [s].
-            report_line: prints a line.
-            time_scale: asked pace, as plant time per wall time.
+            plant_ns: present time of the plant [ns].
+            wall_s: function that returns the time of the wall clock [s].
+            cpu_s: function that returns the computing time of this process [s].
+            report_line: function that prints a line.
+            time_scale: requested pace, as plant time per wall time.
         """
         self._time_scale = time_scale
         self._wall_s = wall_s
@@ -71,19 +74,19 @@ class Pace:
         self.advice: float | None = None
 
     def restart(self, plant_ns: int) -> None:
-        """Restart the measurement when a host appears.
+        """Restart the measurement, because a host has appeared.
 
         Args:
-            plant_ns: time of the plant [ns].
+            plant_ns: present time of the plant [ns].
         """
         self._mark = self._start = self._at(plant_ns)
 
     def slipped(self, behind_ns: int, plant_ns: int) -> None:
-        """Count a slip, and report it unless a report was made within the last second.
+        """Count a slip of the clock, and report it unless the last report is less than a second old.
 
         Args:
-            behind_ns: time lost by a slip [ns of plant time].
-            plant_ns: time of the plant [ns].
+            behind_ns: time lost by the slip, as plant time [ns].
+            plant_ns: present time of the plant [ns].
         """
         self._slips += 1
         self._lost_ns += behind_ns
@@ -101,7 +104,7 @@ class Pace:
         self._slips = self._lost_ns = 0
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
-        """Return the asked and the advised pace, and the plant time per computing time since the start."""
+        """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
         capacity = _ratio(self._start, self._at(plant_ns))
         return {
             "time_scale": self._time_scale,
@@ -110,12 +113,12 @@ class Pace:
         }
 
     def _too_slow(self, seconds: float) -> str:
-        """Return the line for a machine that is too slow."""
+        """Return the line that reports a machine that is too slow."""
         lost = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
         return f"firmware_sim: {lost}: this machine is fast enough for --time-scale {self.advice:g}"
 
     def _advise(self, now: ClockReadings) -> None:
-        """Update the advice from the pace since the last report."""
+        """Update the advised pace from the pace since the last report."""
         measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
         advice = ADVISED_FRACTION * min(
             measured, CORE_FRACTION * _ratio(self._mark, now) * (1 if len(_cores()) == 1 else 2)
@@ -127,20 +130,20 @@ class Pace:
 
 
 def rounded_down(pace: float) -> float:
-    """Round a pace down to one significant digit, and up to the minimum of ``--time-scale``."""
+    """Round a pace down to one significant digit, but not below the minimum of ``--time-scale``."""
     if pace <= 0.001:
         return 0.001
-    # The tolerance of 1e-9 keeps 0.3 from becoming 0.2 by rounding of the quotient.
+    # Without the tolerance of 1e-9, the rounded quotient would make 0.2 of 0.3.
     step = 10.0 ** math.floor(math.log10(pace))
     return float(f"{math.floor(pace / step + 1e-9) * step:.6g}")
 
 
 def _ratio(first: ClockReadings, last: ClockReadings) -> float:
-    """Return the plant time per computing time, infinite without computing time."""
+    """Return the plant time per computing time, infinite for no computing time."""
     cpu_s = last.cpu_s - first.cpu_s
     return (last.plant_s - first.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
 
 
 def _cores() -> set[int]:
-    """Return the cores that this process may use."""
+    """Return the processor cores that this process may use."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0, 1}

@@ -1,4 +1,4 @@
-"""Paths of the user's sockets and truth files."""
+"""Paths of the sockets and truth files of the present user."""
 
 import os
 import stat
@@ -9,13 +9,15 @@ from pathlib import Path
 from firmware_sim.description import SimulatorError
 
 _PRIVATE = 0o700
-"""Mode of a private directory."""
+"""File mode of a directory with access only for the owner."""
 _PATH_MAX = 103
-"""Maximum length of a Unix socket's path on all systems [bytes]."""
+"""Maximum length of a Unix socket's path that all systems allow [bytes]."""
 
 
 def run_dir() -> Path:
-    """Return the run directory. The directory is made if missing and checked for access by other users.
+    """Return the run directory.
+
+    A missing directory is made. A directory open to other users is refused.
 
     Raises:
         SimulatorError: the directory cannot be made, or the directory or one above it is a link,
@@ -35,7 +37,7 @@ def run_dir() -> Path:
     try:
         for path in [*reversed(folder.parents), folder][
             1:
-        ]:  # From the top down: in a safe directory no other user can replace an entry.
+        ]:  # top down: in a checked directory, no other user can replace an entry.
             _check(path, mine=len(folder.parts) - len(path.parts) < own_parts)
     except OSError as error:
         raise SimulatorError(f"run directory {folder}: {error.strerror}; HANDCTL_RUN_DIR names another") from error
@@ -43,12 +45,12 @@ def run_dir() -> Path:
 
 
 def _parent_dir(folder: Path, own_parts: int) -> Path:
-    """Return the directory that contains the private directories of the run directory.
+    """Return the directory above the private directories of the run directory.
 
-    Only the system may have links in its path.
+    In the path of this directory, only links of the system are allowed.
 
     Raises:
-        SimulatorError: a directory is a link of a user.
+        SimulatorError: a directory in the path is a link that belongs to a user.
     """
     parent = folder.parents[own_parts - 1]
     for path in (*parent.parents, parent):
@@ -61,7 +63,7 @@ def _check(path: Path, mine: bool) -> None:
     """Make a missing directory, and refuse a directory that another user can change.
 
     Args:
-        path: path of the directory. The directories above have been checked.
+        path: path of the directory. The directories above it have been checked.
         mine: True for a part of the run directory, which no other user may access.
 
     Raises:
@@ -74,8 +76,8 @@ def _check(path: Path, mine: bool) -> None:
         raise _refusal(path, "is a link")
     if status.st_uid != os.geteuid() and (mine or status.st_uid):
         raise _refusal(path, f"belongs to another user ({status.st_uid})")
-    # A directory that others may write is safe with the sticky bit: entries belong to their owners,
-    # as in /tmp.
+    # A directory that others may write is safe with the sticky bit. As in /tmp, only owners can
+    # replace their entries.
     if status.st_mode & 0o022 and (mine or not status.st_mode & stat.S_ISVTX):
         raise _refusal(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
     if mine and status.st_mode & 0o077:
@@ -83,7 +85,7 @@ def _check(path: Path, mine: bool) -> None:
 
 
 def _refusal(path: Path, problem: str) -> SimulatorError:
-    """Build the error for a directory."""
+    """Build the error for a directory that cannot be a run directory."""
     expected = "expected a directory of mode 0700 that belongs to you; HANDCTL_RUN_DIR names another"
     return SimulatorError(f"run directory {path}: {problem}; {expected}")
 
@@ -105,12 +107,18 @@ def bus_path(name: str) -> Path:
 
 
 def faults_path(spec: str) -> Path:
-    """Return the path of the fault socket of a simulator on this bus. A joined bus counts as local."""
+    """Return the path of the fault socket of a simulator on this bus.
+
+    ``join:NAME`` has the path of ``local:NAME``.
+    """
     return truth_path(spec).with_suffix(".faults")
 
 
 def truth_path(spec: str) -> Path:
-    """Return the default path of the truth file of a simulator on this bus. A joined bus counts as local."""
+    """Return the default path of the truth file of a simulator on this bus.
+
+    ``join:NAME`` has the path of ``local:NAME``.
+    """
     name = spec.replace("join:", "local:", 1) if spec.startswith("join:") else spec
     return run_dir() / (name.replace(":", "_").replace("/", "_") + ".truth")
 

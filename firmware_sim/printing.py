@@ -1,13 +1,19 @@
-"""Text for users: one line, printable and of bounded length, independent of quoted files and arguments."""
+"""Messages for users.
+
+Even with quoted files and arguments, each message is a printable line of limited length.
+"""
 
 MAX_MESSAGE_LENGTH = 500
 """Maximum length of a message [characters]."""
 LEFT_OUT = " [...] "
-"""Replacement for the middle of a longer message."""
+"""Text in place of the middle of a message that is too long."""
 
 
 def printable(text: str) -> str:
-    """Replace characters that are not printable by escapes: terminal escapes, line ends, lone surrogates."""
+    """Replace characters that cannot be printed by escape sequences.
+
+    Examples are line ends and terminal escapes.
+    """
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "replace").decode() for c in text)
@@ -19,7 +25,7 @@ def one_line(text: str) -> str:
     The start of a message names the problem, and the end names the remedy. Therefore only the middle of a
     long text is removed.
     """
-    if len(text) > 4 * MAX_MESSAGE_LENGTH:  # Escapes make a text longer, never shorter.
+    if len(text) > 4 * MAX_MESSAGE_LENGTH:  # escape sequences never make a text shorter
         text = text[: 2 * MAX_MESSAGE_LENGTH] + text[-2 * MAX_MESSAGE_LENGTH :]
     line = printable(text)
     if len(line) <= MAX_MESSAGE_LENGTH:

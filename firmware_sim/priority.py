@@ -1,4 +1,4 @@
-"""Real-time priority for a simulator that keeps up with its clock, as real firmware does."""
+"""Real-time priority for the simulator, which must keep up with the clock as real firmware does."""
 
 import math
 import os
@@ -8,17 +8,20 @@ from collections import deque
 from collections.abc import Callable
 
 PRIORITY = 50
-"""Priority below a controller's 60, so that the simulator never delays the host past its deadline."""
+"""Real-time priority of the simulator.
+
+The controller has 60, and is therefore never delayed by the simulator.
+"""
 ORDINARY_PRIORITY_S = 5.0
-"""Time without real-time priority after the plant fell behind its clock [s]."""
+"""Time without real-time priority after the plant fell behind the clock [s]."""
 MAX_SLIPS = 3
-"""Slips within ``SLIP_WINDOW_S`` that end the priority."""
+"""Number of clock slips within ``SLIP_WINDOW_S`` after which the priority is given back."""
 SLIP_WINDOW_S = 1.0
-"""Time span of these slips [s]."""
+"""Time span within which ``MAX_SLIPS`` are counted [s]."""
 
 
 def take_priority() -> bool:
-    """Request SCHED_FIFO.
+    """Request real-time priority (SCHED_FIFO) for this process.
 
     Returns:
         True if the priority was granted.
@@ -33,19 +36,19 @@ def take_priority() -> bool:
 
 
 def restore_priority() -> None:
-    """Return to the ordinary scheduler."""
+    """Return this process to the ordinary scheduler."""
     if sys.platform.startswith("linux"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 class RealTimePriority:
-    """Real-time priority while the simulator serves a controller, without starving the controller.
+    """Real-time priority for a simulator that serves a controller, but leaves the controller enough computing time.
 
-    A simulator that is behind is always busy. With real-time priority it would leave almost no time
-    to a controller on the same core that still imports and has no real-time priority yet. The
-    priority is therefore taken with the first frame of a host. The priority is given back for
-    ``ORDINARY_PRIORITY_S`` if the plant falls behind repeatedly, but not after a single stop of the
-    machine.
+    A simulator behind the clock is always busy. A controller on the same core has no real-time
+    priority while it still imports modules. A busy simulator with real-time priority would leave
+    the controller almost no time. Therefore the simulator takes the priority only at the first
+    frame of a host. If the plant falls behind repeatedly, the simulator gives the priority back for
+    ``ORDINARY_PRIORITY_S``. A single stop of the machine does not count as repeated.
 
     Attributes:
         active: True while the process has the priority.
@@ -57,12 +60,12 @@ class RealTimePriority:
         restore: Callable[[], None] = restore_priority,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Start without priority.
+        """Start without real-time priority.
 
         Args:
-            take: takes the priority, returns True if granted.
-            restore: restores the ordinary priority.
-            now_s: clock [s].
+            take: function that takes the priority and returns True if granted.
+            restore: function that restores the ordinary priority.
+            now_s: function that returns the present time [s].
         """
         self._take = take
         self._restore = restore
@@ -72,13 +75,13 @@ class RealTimePriority:
         self._slips_s: deque[float] = deque(maxlen=MAX_SLIPS)
 
     def note_host_frames(self) -> None:
-        """Take the priority because frames of a host arrived."""
+        """Take the real-time priority, because frames of a host have arrived."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()
-            self._not_before_s = self._now_s() + ORDINARY_PRIORITY_S  # Do not retry in every turn after a refusal.
+            self._not_before_s = self._now_s() + ORDINARY_PRIORITY_S  # no new request in every turn after a refusal
 
     def note_slip(self) -> None:
-        """Count a slip of the plant, and give the priority back after several."""
+        """Count a slip of the clock, and give the priority back after ``MAX_SLIPS`` slips."""
         if not self.active:
             return
         now_s = self._now_s()

@@ -1,4 +1,4 @@
-"""The simulator in lockstep. The ticks of the caller are its clock."""
+"""The simulator in lockstep: its clock advances only by the ticks of the caller."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -17,13 +17,13 @@ from firmware_sim.world import make_world
 
 
 class Rig:
-    """One simulated hand in lockstep.
+    """A simulated hand in lockstep with a caller.
 
-    Equal seeds and equal frames give equal answers and an equal truth file, byte for byte.
+    If the seeds and the frames are equal, the answers and the truth file are equal, byte for byte.
 
     Attributes:
-        world: plant and nodes, for tests that need the true state.
-        wired: simulated wires, None without.
+        world: plant and nodes of the hand, for tests that need the true state.
+        wired: simulated wires of the buses, None without them.
     """
 
     def __init__(  # noqa: PLR0913 - a keyword for each thing that a test varies
@@ -39,22 +39,24 @@ class Rig:
         wire: Sequence[str] | None = None,
         serials: Sequence[str] = (),
     ) -> None:
-        """Build the hand.
+        """Build the simulated hand.
 
         Args:
-            hand_path: file or packaged name of the hand.
-            scene: packaged name, file or shorthand such as ``cylinder:35``, None for a free hand.
-            seed: seed of noise, initial slack and encoder offsets.
-            truth_path: path of the truth file, None for no file.
-            perturb: factors on plant parameters, see ``perturb.KEYS``.
+            hand_path: path of a hand file, or name of a packaged hand.
+            scene: packaged name, file or short form of a scene, such as ``cylinder:35``. None for a
+                hand without an object.
+            seed: seed of all random numbers: noise, initial slack and encoder offsets.
+            truth_path: path of the truth file, None to write no truth file.
+            perturb: factors that multiply plant parameters, see ``perturb.KEYS``.
             period_ns: length of a tick [ns].
-            homed: True to start with taut tendons and encoders at zero.
+            homed: True to start with taut tendons and with the encoders at ``zero_rad`` of the hand
+                file.
             wire: KEY=VALUE words of a simulated wire, see ``wire.options``. None for answers that
-                are never late.
+                all arrive within their tick.
             serials: serial numbers of the drives, see ``serials.with_serial_numbers``.
 
         Raises:
-            SimulatorError: hand, scene, factors or wire are wrong.
+            SimulatorError: the hand, the scene, a factor or a word of the wire is wrong.
         """
         hand = with_serial_numbers(perturbed(load_hand(hand_path), perturb or {}), serials)
         self.world = make_world(hand, load_scene(scene), seed, homed)
@@ -70,17 +72,17 @@ class Rig:
             self.world.record(self._truth)
 
     def exchange(self, t_ns: int, frames: Any) -> Any:
-        """Answer the host's frames of one tick, then advance to the next tick.
+        """Answer the host's frames of one tick, then advance the simulation to the next tick.
 
         Args:
             t_ns: start of the tick [ns], not before the previous tick.
-            frames: contiguous array of ``records.RECORD``. Their times are ignored.
+            frames: frames of the host as a contiguous array of ``records.RECORD``. Their times are
+                ignored.
 
         Returns:
-            The answers as an array of ``records.RECORD``. Their times follow one another on each
-            bus, within the tick. With
-            simulated wires: the frames that arrived by the end of the tick, and the error frames of
-                the host's controllers.
+            The answers as an array of ``records.RECORD``. On each bus, the times form a sequence
+            within the tick. With simulated wires, the array has the frames that have arrived by the
+            end of the tick, and error frames of the host's controllers.
         """
         end_ns = t_ns + self._period_ns
         if self.wired:
@@ -93,11 +95,11 @@ class Rig:
         return answers if in_order and not len(unsolicited) else self._exchange.merged(answers, unsolicited)
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
-        """Answer the host's frames of one tick as objects. See ``exchange``.
+        """Answer the host's frames of one tick, given and returned as objects. See ``exchange``.
 
         Args:
             t_ns: start of the tick [ns], not before the previous tick.
-            frames: can_id, data, flags, bus, t_ns of each frame.
+            frames: frames of the host as tuples of can_id, data, flags, bus and t_ns.
         """
         return to_frames(self.exchange(t_ns, to_records(frames)))
 
@@ -108,27 +110,27 @@ class Rig:
             text: fault as text, see ``faults.text``.
 
         Raises:
-            SimulatorError: this hand cannot have the fault.
+            SimulatorError: this hand cannot have the fault in the text.
         """
         self.world.faults.inject(text)
 
     def fault_states(self) -> list[dict[str, object]]:
-        """List each fault so far with its state and the number of its effects."""
+        """List each fault injected so far, with state and number of effects."""
         return self.world.faults.states()
 
     def truth(self) -> dict[str, list[float]]:
-        """Return the present true state for tests: tensions [N] and commanded motor torques [N m]."""
+        """Return parts of the present true state, for tests: tensions [N] and commanded motor torques [N m]."""
         motors = self.world.plant.motors.values()
         return {"tension": self.world.plant.tensions(), "torque": [motor.servo.torque for motor in motors]}
 
     def close(self) -> None:
-        """Complete the truth file."""
+        """Complete and close the truth file, if any."""
         if self._truth is not None:
             counts = {"foreign_frames": self.world.foreign, "malformed_frames": self.world.malformed}
             self._truth.close(counts | ({"wire_load": self._loads()} if self.wired else {}))
             self._truth = None
 
     def _loads(self) -> list[float]:
-        """Return the fraction of time in which each wire was occupied."""
+        """Return the occupied fraction of the elapsed time for each wire."""
         assert self.wired
         return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]

@@ -1,4 +1,7 @@
-"""Serial numbers of simulated drives. Only the serial numbers distinguish two hands of one design."""
+"""Serial numbers of simulated drives.
+
+Two hands of the same design differ only in the serial numbers.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -6,18 +9,21 @@ from dataclasses import replace
 from firmware_sim.description import Hand, SimulatorError
 
 SERIAL_NUMBER_BITS = {"mit": 32, "cia402": 32, "odrive": 48, "moteus": 96, "robstride": 64}
-"""Size of the serial number of each protocol [bit]. Other protocols have none."""
+"""Size of a drive's serial number, by protocol [bit].
+
+Drives of other protocols have no serial number.
+"""
 EXPECTED_FORM = "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
-"""Help text of an error."""
+"""Part of the error message for a wrong serial number."""
 
 
 def with_serial_numbers(hand: Hand, words: Iterable[str]) -> Hand:
-    """Return the hand with serial numbers.
+    """Return the description of a hand with serial numbers of its drives.
 
     Args:
         hand: description of the hand.
-        words: NUMBER, to which each drive adds its node number, or MOTOR=NUMBER. A later word
-            overrides an earlier one.
+        words: NUMBER for all drives, to which each drive adds the node number, or MOTOR=NUMBER for
+            a single drive. A later word overrides an earlier one.
 
     Raises:
         SimulatorError: the motor does not exist, or the number is not valid for its protocol.

@@ -1,4 +1,7 @@
-"""The simulator in real time: one thread reads frames, advances the plant to the clock, and answers at once."""
+"""The simulator in real time.
+
+One thread reads frames, advances the plant to the clock, and answers at once.
+"""
 
 import select
 import socket
@@ -14,25 +17,31 @@ from firmware_sim.pace import Pace
 from firmware_sim.priority import RealTimePriority
 
 MAX_TURN_NS = 1_000_000
-"""Maximum time between two advances of the plant [ns of plant time]."""
+"""Maximum time from one advance of the plant to the next, as plant time [ns]."""
 OVERRUN_NS = 5 * MAX_TURN_NS
-"""Delay of the plant that counts as an overrun [ns of plant time]."""
+"""Delay of the plant behind the clock that counts as an overrun, as plant time [ns]."""
 MAX_DELAY_NS = 150_000_000
-"""Delay of the plant at which its clock slips by the lost time [ns of plant time]."""
-MAX_READS_PER_TURN = 64
-"""Maximum reads of the ports in one turn. The limit keeps a full wire from stopping the plant."""
-SLIP_PAUSE_S = 0.005
-"""Pause after a slip [s], which leaves the core to other processes."""
-MAX_CATCH_UP_NS = 4_000_000
-"""Maximum plant time that one turn catches up [ns].
+"""Largest delay of the plant, as plant time [ns].
 
-Computing this time takes half a millisecond. In a longer turn an answer could be later than the
-next SYNC.
+Above, the clock slips: the lost time is given up.
+"""
+MAX_READS_PER_TURN = 64
+"""Maximum number of reads of the ports in one turn.
+
+The limit keeps a busy bus from stopping the plant.
+"""
+SLIP_PAUSE_S = 0.005
+"""Pause after a slip of the clock [s], for other processes on the processor core."""
+MAX_CATCH_UP_NS = 4_000_000
+"""Maximum plant time by which one turn advances the plant [ns].
+
+Computing this plant time takes half a millisecond. In a longer turn, an answer could come later
+than the next SYNC.
 """
 
 
 class ServerClock(Protocol):
-    """Clock of the server."""
+    """The clock that a server follows."""
 
     @property
     def scale(self) -> float:
@@ -44,11 +53,11 @@ class ServerClock(Protocol):
         ...
 
     def ticks_sent(self) -> int:
-        """Return the number of ticks whose frames a controller on the same clock has sent."""
+        """Return the number of ticks for which a controller on the same clock has sent all frames."""
         ...
 
     def note_answered(self, ticks: int) -> None:
-        """Report that all frames of a number of ticks are answered."""
+        """Report the number of ticks whose frames have all been answered."""
         ...
 
     def note_reached(self, t_ns: int) -> None:
@@ -57,12 +66,12 @@ class ServerClock(Protocol):
 
 
 class Served(Protocol):
-    """Nodes on the buses: the nodes of a hand, or drives on a bench.
+    """The nodes that a server serves: those of a hand, or drives on a bench.
 
     Attributes:
-        t_ns: clock of the nodes [ns].
-        slip_ns: time by which the simulation is behind the wall clock and which it does not catch up [ns].
-        foreign: frames that no node handled.
+        t_ns: present time of the nodes [ns].
+        slip_ns: time by which the simulation is behind the wall clock for good [ns].
+        foreign: number of frames that no node handled.
     """
 
     slip_ns: int
@@ -70,12 +79,12 @@ class Served(Protocol):
 
     @property
     def t_ns(self) -> int:
-        """Return the clock of the nodes [ns]."""
+        """Return the present time of the nodes [ns]."""
         ...
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames that a node could not decode."""
+        """Return the number of frames the nodes could not decode."""
         ...
 
     def receive(self, frame: Frame) -> list[Frame]:
@@ -83,11 +92,11 @@ class Served(Protocol):
         ...
 
     def advance(self, t_ns: int) -> None:
-        """Advance to t_ns in whole steps."""
+        """Advance the nodes towards ``t_ns`` in whole steps."""
         ...
 
     def reach(self, t_ns: int) -> None:
-        """Advance to exactly t_ns."""
+        """Advance the nodes to exactly ``t_ns``."""
         ...
 
     def take_unsolicited(self) -> list[Frame]:
@@ -96,13 +105,13 @@ class Served(Protocol):
 
 
 class Server:
-    """The loop that drives a world by a clock and by the ports of its buses.
+    """The loop that advances a world by a clock, and exchanges frames through the ports of the buses.
 
     Attributes:
-        pace: pace of the world.
-        overruns: turns in which the plant was late.
-        slips: slips of the plant's clock.
-        running: False ends ``run``. A signal handler may set it.
+        pace: measured pace of the simulation.
+        overruns: number of turns in which the plant was late.
+        slips: number of slips of the plant's clock.
+        running: True while ``run`` serves. A signal handler sets it to False to end ``run``.
     """
 
     def __init__(
@@ -116,10 +125,10 @@ class Server:
         """Set up the server.
 
         Args:
-            world: nodes to serve, at the present time.
+            world: nodes to serve, whose time is the present time of the clock.
             ports: ports in the order of the hand's buses.
             clock: clock that the world follows.
-            faults: socket of faults and requests, None without.
+            faults: socket for faults and other requests, None without such a socket.
             priority: real-time priority, None for an ordinary process.
         """
         self._faults = faults
@@ -138,7 +147,10 @@ class Server:
             self.turn()
 
     def turn(self) -> None:
-        """Wait for frames or for the next millisecond, advance the plant, and answer."""
+        """Wait for frames or for the next millisecond.
+
+        Then advance the plant, and answer the frames.
+        """
         ready = self._wait()
         frames = self._receive(ready)
         if frames:
@@ -154,15 +166,19 @@ class Server:
         self._note_progress()
 
     def _note_progress(self) -> None:
-        """Report answered ticks and the time of the plant to a controller on the same clock."""
+        """Report the answered ticks and the time of the plant to a controller on the same clock."""
         self._clock.note_reached(self._world.t_ns + self._world.slip_ns)
-        # The number is read first: frames that arrive between the two calls belong to a later tick.
+        # The number of ticks is read before the sockets are checked. Frames that arrive in between
+        # belong to a later tick.
         ticks = self._clock.ticks_sent()
         if ticks and not self._ready_links(0.0):
             self._clock.note_answered(ticks)
 
     def _note_host(self) -> None:
-        """Take the real-time priority, and measure the pace from the first frame of a host."""
+        """Take the real-time priority.
+
+        At the first frame of a host, restart the measurement of the pace.
+        """
         if not self._served:
             self._served = True
             self.pace.restart(self._world.t_ns)
@@ -174,18 +190,18 @@ class Server:
         return [frame for port in self._ports for frame in port.receive(ready)]
 
     def _wait(self) -> list[socket.socket]:
-        """Wait until a socket is ready or the plant is due.
+        """Wait until a socket is ready or the plant must advance.
 
         Returns:
             The sockets that are ready for reading.
         """
-        # The world's clock is behind the wall clock by the time lost by slips.
+        # The time of the world is behind the wall clock by the time that slips have lost.
         due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         return self._ready_links(max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9))
 
     def _ready_links(self, timeout_s: float) -> list[socket.socket]:
-        """Return the sockets that are ready for reading, after at most timeout_s."""
+        """Wait for at most ``timeout_s``, and return the sockets that are ready for reading."""
         readers = [link for port in self._ports for link in port.readers()]
         readers += self._faults.readers() if self._faults else []
         writers = [link for port in self._ports for link in port.writers()]
@@ -193,10 +209,10 @@ class Server:
         return readable
 
     def _catch_up(self, sampled: bool) -> None:
-        """Advance the plant to the clock.
+        """Advance the plant to the time of the clock.
 
         Args:
-            sampled: True to reach the exact time, because frames sample the plant.
+            sampled: True to reach the time exactly, because the answers to frames sample the plant.
         """
         world = self._world
         target_ns = self._clock.now_ns() - world.slip_ns
@@ -209,7 +225,10 @@ class Server:
         follow(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _slip(self, behind_ns: int) -> None:
-        """Give up lost time. Plant and watchdogs stood still while this process did not run."""
+        """Give up the time lost while this process did not run.
+
+        Plant and watchdogs stood still meanwhile.
+        """
         self._world.slip_ns += behind_ns
         self.slips += 1
         if self._priority:
@@ -219,7 +238,7 @@ class Server:
         time.sleep(SLIP_PAUSE_S)
 
     def _answer(self, frames: list[Frame]) -> None:
-        """Answer frames and send unsolicited frames."""
+        """Send the answers to frames, and all unsolicited frames."""
         answers: list[list[Frame]] = [[] for _ in self._ports]
         for frame in frames:
             answers[frame.bus] += self._world.receive(frame)
@@ -230,7 +249,7 @@ class Server:
                 port.send(batch)
 
     def summary(self) -> dict[str, object]:
-        """Return the counts of the run, for the truth file and the last line."""
+        """Return the counts of a run, for the truth file and the last printed line."""
         return {
             "overruns": self.overruns,
             "slips": self.slips,

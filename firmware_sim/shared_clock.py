@@ -1,16 +1,18 @@
-"""A clock shared with the controller on this machine, which pauses where the machine is too slow.
+"""A clock shared by simulator and controller on this machine.
+
+The clock pauses while the machine is too slow.
 
 The operating system may stop the simulator for many milliseconds. The answers of the simulator are
 then late, although the simulated hand works correctly. A controller that uses the shared clock
-waits for the answers. The simulator never advances beyond the gate, a time that the controller sets
-in every tick.
+waits for these answers. In every tick, the controller sets a time called the gate. The simulator
+never advances beyond the gate.
 
-The file of the clock has six 64-bit integers, which both processes map:
+The clock is a file with six 64-bit integers. Both processes map the file into memory:
 
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
-The simulator writes the version and the last two numbers, the controller writes the others. All times
-are CLOCK_MONOTONIC minus the pauses, without the time scale.
+The simulator writes the version and the last two integers. The controller writes the other three.
+All times are CLOCK_MONOTONIC minus the pauses, without the time scale.
 """
 
 import mmap
@@ -26,19 +28,24 @@ GATE, PAUSED, SENT, ANSWERED, REACHED = 1, 2, 3, 4, 5
 """Indices of the integers in the file."""
 COUNT = 6
 OPEN_GATE = 2**63 - 1
-"""Gate without a controller."""
+"""Value of the gate if there is no controller."""
 MAX_GATE_WAIT_NS = 120_000_000
-"""Longest wait at the gate [ns of wall time]. A controller that stays away for longer has stopped or died.
+"""Longest wait at the gate, as wall time [ns].
 
-This wait is shorter than the delay at which the plant's clock slips, and longer than the longest
-pause for a late controller.
+A controller that stays away for longer has stopped or died.
+
+This wait is shorter than the delay at which the plant's clock slips. The longest pause for a late
+controller is shorter than this wait.
 """
 
 
 class SharedClock:
-    """Clock of a simulator with the pauses and the gate of a controller. See ``server.ServerClock``.
+    """The clock of a simulator, with the pauses and the gate of its controller.
 
-    Before ``publish`` no controller shares it, and its time is CLOCK_MONOTONIC times the scale.
+    See ``server.ServerClock``.
+
+    Before ``publish``, no controller shares the clock, and its time is CLOCK_MONOTONIC times the
+    scale.
 
     Attributes:
         scale: plant time per wall time.
@@ -55,7 +62,7 @@ class SharedClock:
         self._numbers = memoryview(array("q", [VERSION, OPEN_GATE, *[0] * (COUNT - 2)]))
 
     def publish(self, path: Path) -> None:
-        """Create the file of the clock, so that a controller can share it.
+        """Create the file of the clock, for sharing with a controller.
 
         Args:
             path: path of the file. A file that a killed simulator left is replaced.
@@ -76,18 +83,18 @@ class SharedClock:
         self._path = path
 
     def now_ns(self) -> int:
-        """Return the present time, at most the gate [ns]."""
+        """Return the present time [ns], or the gate if the gate is earlier."""
         now, gate = time.monotonic_ns() - self._numbers[PAUSED], self._numbers[GATE]
         if gate < now <= gate + MAX_GATE_WAIT_NS:
             now = gate
         return int(now * self.scale)
 
     def ticks_sent(self) -> int:
-        """Return the number of ticks whose frames the controller has sent."""
+        """Return the number of ticks for which the controller has sent all frames."""
         return self._numbers[SENT]
 
     def note_answered(self, ticks: int) -> None:
-        """Report that all frames of a number of ticks are answered."""
+        """Report the number of ticks whose frames have all been answered."""
         self._numbers[ANSWERED] = ticks
 
     def note_reached(self, t_ns: int) -> None:
@@ -95,6 +102,9 @@ class SharedClock:
         self._numbers[REACHED] = int(t_ns / self.scale)
 
     def close(self) -> None:
-        """Remove the file. A controller that still maps it waits no longer than for a stopped simulator."""
+        """Remove the file of the clock.
+
+        A controller with the file still mapped waits as for a stopped simulator.
+        """
         if self._path:
             self._path.unlink(missing_ok=True)

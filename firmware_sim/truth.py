@@ -1,7 +1,9 @@
-"""The truth file: the true state of the plant in every millisecond, to judge a controller.
+"""The truth file: a record of the plant's true state in every millisecond.
 
-Format: one line of JSON, padded with spaces and completed when the file is closed. Then rows of an
-int64 t_ns and a float64 for each column, little-endian.
+Tests compare a controller with it.
+
+The file starts with a line of JSON, which is padded with spaces and completed when the file is
+closed. Rows follow. Each row has an int64 t_ns and a float64 for each column, little-endian.
 """
 
 import json
@@ -15,20 +17,21 @@ import numpy.typing as npt
 from firmware_sim.plant.plant import Plant
 
 PERIOD_NS = 1_000_000
-"""Time between two rows [ns]."""
+"""Time from one row to the next [ns]."""
 _HEAD_SIZE = 8192
 """Size of the header line [bytes]."""
 _ROWS_BUFFERED = 256
-"""Rows in memory before they are written."""
+"""Number of rows collected before a write to the file."""
 
 
 class Truth(NamedTuple):
-    """A truth file in memory.
+    """The content of a truth file.
 
     Attributes:
-        header: content of the header.
-        t_ns: times, shape (rows,) [ns].
-        values: values, shape (rows, columns), units in ``header["units"]``.
+        header: content of the header line.
+        t_ns: times of the rows, shape (rows,) [ns].
+        values: true values, shape (rows, columns). ``header["units"]`` gives the unit of each
+            column.
     """
 
     header: dict[str, Any]
@@ -36,12 +39,12 @@ class Truth(NamedTuple):
     values: npt.NDArray[np.float64]
 
     def column(self, name: str) -> npt.NDArray[np.float64]:
-        """Return one column by its name, shape (rows,)."""
+        """Return the values of a column by its name, shape (rows,)."""
         return self.values[:, self.header["columns"].index(name)]
 
 
 def columns(plant: Plant) -> list[tuple[str, str]]:
-    """List name and unit of every column."""
+    """List the name and the unit of every column of a plant's truth file."""
     hand = plant.hand
     named = [(f"tension/{tendon.name}", "N") for tendon in hand.tendons]
     named += [(f"q/{joint}", "rad") for joint in hand.joints]
@@ -63,20 +66,20 @@ def columns(plant: Plant) -> list[tuple[str, str]]:
 class TruthWriter:
     """Writer of a truth file.
 
-    The values of a row belong to the time of the row, except the contact forces, which belong to
-    the previous step (0.5 ms).
+    The values of a row belong to the time of the row. Only the contact forces belong to the step
+    before (0.5 ms).
 
     Attributes:
-        due_ns: plant time of the next row [ns].
+        due_ns: plant time at which the next row must be written [ns].
     """
 
     def __init__(self, path: Path, plant: Plant, header: dict[str, object]) -> None:
-        """Create the file.
+        """Create the truth file.
 
         Args:
             path: path of the file.
             plant: plant to record.
-            header: additional content of the header.
+            header: additional content of the header line.
         """
         named = columns(plant)
         self._header = {
@@ -93,11 +96,11 @@ class TruthWriter:
         self._file.write(self._head(_HEAD_SIZE))
 
     def _head(self, size: int) -> bytes:
-        """Return the header line."""
+        """Return the header line, padded to a size [bytes]."""
         return json.dumps(self._header).encode().ljust(size - 1) + b"\n"
 
     def write(self, t_ns: int, plant: Plant) -> None:
-        """Record the present state."""
+        """Record the present true state of the plant as a row."""
         self.due_ns += PERIOD_NS
         engine = plant.engine
         self._buffered.append(
@@ -120,13 +123,13 @@ class TruthWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the buffered rows to the file."""
+        """Write the collected rows to the file."""
         self._file.write(b"".join(self._buffered))
         self._file.flush()
         self._buffered.clear()
 
     def close(self, summary: dict[str, object]) -> None:
-        """Write the buffered rows, complete the header with a summary of the run, and close the file."""
+        """Write the collected rows, add a summary of the run to the header, and close the file."""
         self.flush()
         self._header.update(summary)
         head = self._head(_HEAD_SIZE)

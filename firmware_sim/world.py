@@ -1,6 +1,8 @@
-"""Plant and nodes together, driven by time and frames. The world uses neither sockets nor clocks.
+"""The world of a hand: plant and nodes.
 
-Injected faults act between nodes and wire, in a node, in a sensor or in the plant. See ``faults``.
+The caller gives time and frames. The world has no sockets or clocks.
+
+Injected faults act on frames of nodes, in a node, in a sensor or in the plant. See ``faults``.
 """
 
 import random
@@ -28,30 +30,33 @@ from firmware_sim.truth import TruthWriter
 
 _ARRIVAL_NS = itemgetter(4)
 MAX_ENCODER_OFFSET_RAD = 0.5
-"""Maximum encoder angle at theta = 0 when not homed [rad], small against PMAX and the 3 rad of a grasp."""
+"""Maximum encoder angle at theta = 0 in a hand that is not homed [rad].
+
+It is small against PMAX and the 3 rad of a grasp.
+"""
 
 
 class World:
-    """Plant and simulated nodes of one hand.
+    """The plant and the simulated nodes of one hand.
 
-    Power-up, unless homed: each tendon is slack by 1 to 3 mm, because the motors were off. Each
-    encoder reads an angle within 0.5 rad of its ``zero_rad`` at the point where the tendon is just
-    taut at q = 0, as after a spool was clamped by hand. Both are random with a seed. A homed world
-    starts with taut tendons and the encoders at ``zero_rad``.
+    If the world is not homed, it starts as a hand at power-up. Each tendon is slack by 1 to 3 mm,
+    because the motors were off. Where a tendon is just taut at q = 0, its encoder reads an angle
+    within 0.5 rad of ``zero_rad``, as after a spool was clamped by hand. Slack and angle are random
+    with a seed. A homed world starts with taut tendons and with the encoders at ``zero_rad``.
 
     Attributes:
         hand: description of the hand.
-        plant: the mechanics.
-        nodes: nodes of each bus of the hand.
-        t_ns: clock of plant and nodes [ns].
-        slip_ns: time lost by slips, because this process did not run [ns].
-        foreign: frames that no node handled.
-        sensor_node: node of load cells and joint encoders, or all amplifiers.
-        sensor_nodes: the nodes of load cells on the wire.
-        faults: injected faults.
+        plant: mechanics of the hand.
+        nodes: list of the nodes on each bus of the hand.
+        t_ns: present time of plant and nodes [ns].
+        slip_ns: time lost by slips while this process did not run [ns].
+        foreign: number of frames that no node handled.
+        sensor_node: node with load cells and joint encoders, or the collection of all amplifiers.
+        sensor_nodes: the nodes on the bus that read load cells.
+        faults: faults that have been injected.
         encoder_offset: encoder angle at theta = 0, by motor name [rad].
-        row_of: kind and row of each node that compiled kernels handle, by the node's ``id()``.
-        exchange: kernel that answers cyclic frames, None without compiled kernels.
+        row_of: kind and row of each node that compiled kernels handle, by the ``id()`` of the node.
+        exchange: exchange of frames by a compiled kernel, None without compiled kernels.
     """
 
     def __init__(
@@ -63,14 +68,14 @@ class World:
         origin_ns: int = 0,
         compiled: bool = True,
     ) -> None:
-        """Build plant and nodes.
+        """Build the plant and the nodes of a hand.
 
         Args:
             hand: description of the hand.
-            scene: object and support.
+            scene: description of object, support and later events.
             seed: seed of all random numbers.
-            homed: True to start homed.
-            origin_ns: clock at the start [ns].
+            homed: True to start as a homed hand.
+            origin_ns: time of the world at the start [ns].
             compiled: True to use compiled kernels, see ``Plant``.
         """
         self.hand = hand
@@ -106,20 +111,20 @@ class World:
         self.slip_ns = 0
 
     def _bus_index(self, name: str) -> int:
-        """Return the index of a bus, given its name."""
+        """Return the index of a bus of the hand by its name."""
         if name not in self.hand.buses:
             raise SimulatorError(f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}")
         return self.hand.buses.index(name)
 
     def _build_drives(self, compiled: bool, rows: dict[type, Any]) -> dict[str, DriveNode]:
-        """Build the drive nodes.
+        """Build the drive node of each motor.
 
         Args:
-            compiled: True to use rows for compiled kernels.
-            rows: array of the rows by their type, extended.
+            compiled: True to keep the nodes' numbers in rows, for compiled kernels.
+            rows: arrays of rows by row type, extended by this function.
 
         Returns:
-            Node of each motor by the motor's name.
+            Drive node of each motor by the name of the motor.
         """
         nodes: dict[str, DriveNode] = {}
         for motor in self.hand.motors:
@@ -145,7 +150,7 @@ class World:
         return nodes
 
     def _build_sensor_node(self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]) -> SensorNode | Amplifiers:
-        """Build the sensor node, with a row for compiled kernels, or the amplifiers."""
+        """Build the sensor node (with a row if kernels are compiled), or the amplifiers."""
         plant = self.plant
         joints = self.hand.joints
         names = [tendon.name for tendon in self.hand.tendons]
@@ -165,15 +170,15 @@ class World:
         return node
 
     def motor_spec(self, name: str) -> MotorSpec:
-        """Return the description of a motor."""
+        """Return the description of a motor by the name of the motor."""
         return next(motor for motor in self.hand.motors if motor.name == name)
 
     def node_of(self, name: str) -> Node:
-        """Return the node of a motor."""
+        """Return the drive node of a motor by the name of the motor."""
         return self._motor_nodes[name]
 
     def host_frame(self, name: str) -> Frame:
-        """Build a frame that only the host of a motor sends and that has no effect."""
+        """Build a frame without effect, sent only by the host of a motor."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOLS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
@@ -183,20 +188,20 @@ class World:
         self._truth = truth
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Pass a frame to the nodes of its bus.
+        """Pass a frame to the nodes of its bus, and collect the answers.
 
         Args:
             frame: frame of the host.
 
         Returns:
-            The answers, stamped with the present time.
+            The answers, with the present time as their time.
         """
         answers: list[Frame] = []
         handled = False
         t_ns = self.t_ns
         bus = frame[3]
         faults = self.faults
-        wire_faulty = faults.wire_faults_of  # A fault may react to frames for other nodes.
+        wire_faulty = faults.wire_faults_of  # a fault may also react to frames for other nodes
         receivers = (
             self._nodes_of_bus[bus] if wire_faulty else self._by_id[bus].get(frame[0]) or self._receivers(bus, frame[0])
         )
@@ -215,27 +220,29 @@ class World:
         return answers
 
     def has_receiver(self, frame: Frame) -> bool:
-        """Return True if a node may answer the frame. An answer samples the plant."""
+        """Return True if a node may answer the frame. The answer would sample the plant."""
         return bool(self._by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0]))
 
     def _receivers(self, bus: int, can_id: int) -> list[tuple[Node, frozenset[int] | None]]:
-        """Return the nodes that may answer an identifier, each with its identifiers at this time."""
+        """Return the nodes that may answer an identifier, each with the present identifiers."""
         receivers = [(node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids]
         self._by_id[bus][can_id] = receivers
         return receivers
 
     def refresh_identifiers(self) -> None:
-        """Read the identifiers of all nodes again."""
+        """Read the identifiers of all nodes again, because some may have changed."""
         self._nodes_of_bus = [[(node, node.ids) for node in bus] for bus in self.nodes]
         self._by_id = [{} for _ in self.nodes]
         if self.exchange:
             self.exchange.refresh_identifiers()
 
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
-        """Advance to t_ns in whole steps. A remainder waits for the next call.
+        """Advance plant and nodes towards ``t_ns`` in whole steps.
+
+        The next call makes up for a remainder.
 
         Args:
-            t_ns: end [ns].
+            t_ns: time to advance to [ns].
             row_wake_ns: earliest wake time of the drives with rows [ns], None if not known.
         """
         plant = self.plant
@@ -264,10 +271,10 @@ class World:
         self.t_ns = now_ns
 
     def reach(self, t_ns: int) -> None:
-        """Advance to exactly t_ns, so that samples belong to their exact time.
+        """Advance plant and nodes to exactly ``t_ns``, so that samples belong to their exact time.
 
-        Steps keep their positions in time. The step around t_ns is divided, and the next call
-        completes it.
+        Other steps keep their places in time. The step around ``t_ns`` is divided, and the next
+        call completes this step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
@@ -296,7 +303,7 @@ class World:
         return min(wake_ns, *[node.wake_ns for node in self._without_row]) if self._without_row else wake_ns
 
     def _wake(self, now_ns: int) -> int | None:
-        """Wake the nodes that are due and store their frames.
+        """Wake the due nodes, and store the frames sent by them.
 
         Returns:
             Earliest wake time of the drives with rows [ns], None if not known.
@@ -312,11 +319,11 @@ class World:
         return None
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames of foreign senders on the bus."""
+        """Queue frames of senders outside the hand for the bus."""
         self._unsolicited += frames
 
     def take_unsolicited(self) -> list[Frame]:
-        """Return the unsolicited frames since the last call, in the order of time."""
+        """Return the unsolicited frames since the last call, sorted by time."""
         unsolicited = self._unsolicited
         self._unsolicited = []
         if self.exchange and len(from_drives := self.exchange.take_sent()):
@@ -324,20 +331,23 @@ class World:
         return unsolicited
 
     def take_unsolicited_records(self) -> Any:
-        """Return the unsolicited frames as an array of ``records.RECORD``, valid until the next frame is sent."""
+        """Return the unsolicited frames as an array of ``records.RECORD``.
+
+        It is valid until the next frame is sent.
+        """
         assert self.exchange
         return to_records(self.take_unsolicited()) if self._unsolicited else self.exchange.take_sent()
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames that nodes could not decode."""
+        """Return the number of frames the nodes could not decode."""
         return sum(node.malformed for _, node in self._nodes_by_bus)
 
     def header(self, clock: str) -> dict[str, object]:
         """Return the header of a truth file of this world.
 
         Args:
-            clock: name of the clock.
+            clock: name of the clock that the times in the file belong to.
         """
         return {
             "clock": clock,
@@ -351,12 +361,12 @@ class World:
 
 
 def _steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
-    """Count the steps, at least one, until an event is due, without passing the end.
+    """Count the steps until an event is due or the end is reached, at least 1.
 
     Args:
         now_ns: present time [ns].
         due_ns: time of the event [ns].
-        end_ns: end [ns].
+        end_ns: time that the steps must not pass [ns].
     """
     return max(1, min(-((now_ns - due_ns) // STEP_NS), (end_ns - now_ns) // STEP_NS))
 
@@ -369,18 +379,18 @@ def make_world(
     origin_ns: int = 0,
     compiled: bool = True,
 ) -> World:
-    """Build the world of a hand from a file.
+    """Build the world of a hand that was read from a file, and report wrong values as SimulatorError.
 
     Args:
         hand: description of the hand.
-        scene: object and support.
+        scene: description of object, support and later events.
         seed: seed of all random numbers.
-        homed: True to start homed.
-        origin_ns: clock at the start [ns].
+        homed: True to start as a homed hand.
+        origin_ns: time of the world at the start [ns].
         compiled: True to use compiled kernels, see ``Plant``.
 
     Raises:
-        SimulatorError: numbers or names of the hand do not make a plant.
+        SimulatorError: numbers or names in the description of the hand do not make a plant.
     """
     try:
         return World(hand, scene, seed, homed, origin_ns, compiled)

@@ -1,5 +1,7 @@
-"""Coverage-guided fuzzing of all parsers of foreign input: ``make fuzz``, ``python -m fuzz --help``.
+"""Coverage-guided fuzzing of all parsers of foreign input.
 
-A target reads bytes, raises only the declared errors, and returns True if it accepted the bytes.
-The project imports nothing from here.
+Run ``make fuzz``, or see ``python -m fuzz --help``.
+
+A target is a function for feeding bytes to a parser, and returns True if the parser accepts the
+bytes. Only errors declared by the parser may occur. handctl imports nothing from this package.
 """

@@ -16,7 +16,10 @@ NAMES = (*DRIVES, "sensor-node", "hand", "hand-text", "task", "trajectory", "gai
 LONGEST = {**dict.fromkeys(DRIVES, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
            "task": 128, "trajectory": 128, "gains": 128, "calibration": 128, "hand-text": 1 << 14, "log": 4096,
            "log-bytes": 1 << 16}  # fmt: skip
-"""Longest input of each target [bytes], at least the longest initial input of the corpus."""
+"""Maximum length of the inputs of each target [bytes].
+
+No initial input is longer.
+"""
 
 
 def arguments() -> argparse.Namespace:
@@ -35,7 +38,10 @@ def arguments() -> argparse.Namespace:
 
 
 def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
-    """Fuzz a target. Return a line about the target, and False if the target failed."""
+    """Fuzz a target in a process.
+
+    Return the line to print about the target, and False if the target failed.
+    """
     corpus = OUTPUT_FOLDER / "corpus" / name
     crashes = OUTPUT_FOLDER / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
@@ -62,7 +68,7 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
 
 
 def main() -> int:
-    """Fuzz all selected targets."""
+    """Fuzz all selected targets, and return the exit code."""
     args = arguments()
     passed = True
     for name in args.targets or NAMES:

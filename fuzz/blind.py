@@ -1,7 +1,7 @@
-"""Fuzzing of one target without coverage: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
+"""Fuzzing of one target without measuring coverage: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
 
-The inputs are random changes of the corpus of coverage-guided fuzzing. Blind fuzzing is a few times
-faster, which permits larger numbers of inputs.
+The inputs are random changes of the corpus that coverage-guided fuzzing has found. Fuzzing without
+coverage (blind) is a few times faster, and so tests more inputs.
 """
 
 import random
@@ -15,11 +15,14 @@ from fuzz.targets import TARGETS, seeds
 
 REPORT_PERIOD_S = 30.0
 INPUTS_PER_CLOCK_READ = 256
-"""Inputs between two readings of the clock."""
+"""Number of inputs from one reading of the clock to the next."""
 
 
 def changed_inputs(chance: random.Random, corpus: list[bytes], longest: int) -> Iterator[bytes]:
-    """Yield inputs: an input of the corpus with bytes changed, removed, inserted, or with the end of another input."""
+    """Yield changed inputs of the corpus.
+
+    Bytes are changed, removed or inserted, or the end is from another input.
+    """
     pick = chance.choice
     bits = chance.getrandbits
     while True:
@@ -47,10 +50,12 @@ def changed_inputs(chance: random.Random, corpus: list[bytes], longest: int) -> 
 def fuzz(
     target: Callable[[bytes], bool], inputs: Iterator[bytes], crashes: Path, seconds: float, runs: int
 ) -> tuple[int, int]:
-    """Feed a target. An exception ends this process after its input was saved.
+    """Feed inputs to a target.
+
+    An exception ends this process, after the input that caused it was saved.
 
     Returns:
-        the number of inputs, and the number of accepted inputs.
+        The number of inputs, and the number of inputs that the parser accepted.
     """
     start = reported = time.monotonic()
     number = 0
@@ -74,7 +79,7 @@ def fuzz(
 
 
 def main() -> None:
-    """Fuzz for the requested time or number of runs."""
+    """Fuzz one target for the requested time or number of inputs."""
     name, corpus, crashes, seconds, runs, longest = sys.argv[1:]
     shared = Path("/dev/shm")
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))

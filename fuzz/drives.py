@@ -1,4 +1,7 @@
-"""The drives whose replies are fuzzed: one per protocol, and one per set of options that changes the decoding."""
+"""The drives whose replies are fuzzed.
+
+The list has a drive for each protocol, and one for each set of options that changes the decoding.
+"""
 
 from typing import NamedTuple
 
@@ -6,12 +9,12 @@ from handctl.drives.registry import PROTOCOLS
 
 
 class Fuzzed(NamedTuple):
-    """A drive to be fuzzed.
+    """A drive whose replies are fuzzed.
 
     Attributes:
         protocol: name of the protocol.
-        options: additional options, as lines of a hand file.
-        without: beginning of the names of options that this drive does not have.
+        options: options of the drive to add to the hand file, as lines of the file.
+        without: prefix of the names of options to remove from the hand file.
     """
 
     protocol: str

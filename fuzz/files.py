@@ -1,4 +1,7 @@
-"""Targets for files that users write (hand, task, trajectory, gains, calibration): as noise and nearly valid."""
+"""Targets for files that users write: hand, task, trajectory, gains and calibration.
+
+Inputs are noise or nearly valid.
+"""
 
 import math
 import tomllib
@@ -34,7 +37,7 @@ TASKS = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def construct_all(hand: Hand) -> None:
-    """Construct everything that a run constructs from a hand before it opens a bus."""
+    """Construct all objects that a run constructs from a hand before it opens a bus."""
     for name in hand.digit_names:
         DigitModel.of(hand, name)
     for motor in hand.motor:
@@ -43,7 +46,7 @@ def construct_all(hand: Hand) -> None:
 
 
 def hand(folder: Path) -> Target:
-    """Return the target for a hand with up to four changes."""
+    """Return the target for a packaged hand with up to four changes."""
     contents = [hand_content(name) for name in packaged_hands()]
     paths = [list(paths_of_values(content)) for content in contents]
 
@@ -57,12 +60,12 @@ def hand(folder: Path) -> Target:
 
 
 def hand_text(folder: Path) -> Target:
-    """Return the target for a hand file of any bytes."""
+    """Return the target for a hand file that consists of any bytes."""
     return _text(folder / "hand.toml", lambda path: construct_all(load_hand(str(path))))
 
 
 def check_one_line(error: Exception) -> None:
-    """Check that an error has a text of one line."""
+    """Check that the text of an error is exactly one line."""
     assert str(error), "an error without text"
     assert "\n" not in str(error), str(error)
 
@@ -76,7 +79,7 @@ def _text(path: Path, load: Callable[[Path], object]) -> Target:
 
 
 def _is_accepted(load: Callable[[], object]) -> bool:
-    """Return True if the input is accepted. Check that a refusal is one line."""
+    """Return True if an input is accepted. If it is refused, check that the error is one line."""
     try:
         load()
     except HandctlError as error:
@@ -86,11 +89,17 @@ def _is_accepted(load: Callable[[], object]) -> bool:
 
 
 DOCUMENTS_PER_TEXT = 32
-"""One of this many documents is parsed from text. The others are changed after parsing, because parsing is slow."""
+"""Of this many inputs, one is noise, and one is a document in the form of text.
+
+In all other inputs, a parsed document is changed, because parsing is slow.
+"""
 
 
 def _document(path: Path, contents: list[Content], use: Callable[[Content], object]) -> Target:
-    """Return the target for a document: any bytes, or a valid document with up to four changes, parsed or as text."""
+    """Return the target for a document.
+
+    Inputs are any bytes, or a valid document with up to four changes.
+    """
     paths = [list(paths_of_values(content)) for content in contents]
     noise = _text(path, lambda file: use(read_toml(file)))
 
@@ -109,7 +118,7 @@ def _document(path: Path, contents: list[Content], use: Callable[[Content], obje
 
 
 def task(folder: Path) -> Target:
-    """Return the target for a task, checked against a hand."""
+    """Return the target for a task that must fit a hand."""
     jamia = load_hand("jamia")
     contents = [tomllib.loads(path.read_text()) for path in sorted(TASKS.glob("*.toml"))]
     return _document(
@@ -120,7 +129,7 @@ def task(folder: Path) -> Target:
 
 
 def trajectory(folder: Path) -> Target:
-    """Return the target for a trajectory, checked against a hand."""
+    """Return the target for a trajectory that must fit a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {"schema": 1, "name": "t", "time_s": [0.3 * i for i in range(8)], "angle_deg": {"index": angles}}
@@ -132,7 +141,7 @@ def trajectory(folder: Path) -> Target:
 
 
 def gains(folder: Path) -> Target:
-    """Return the target for gains with their provenance."""
+    """Return the target for a gains file with provenance."""
     packaged = Gains().model_dump(by_alias=True)
     content = packaged | {"provenance": Provenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()}
     del content["provenance"]["restores"]
@@ -143,7 +152,7 @@ def gains(folder: Path) -> Target:
 
 
 def calibration(folder: Path) -> Target:
-    """Return the target for a calibration with identified values, and the hand that results from it."""
+    """Return the target for a calibration with identified values, and for the resulting hand."""
     jamia = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
     identified = {"names": ["motor_coulomb"], "values": [0.01], "half_widths": [1e-3], "covariance": [[1e-6]]}

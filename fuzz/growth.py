@@ -26,23 +26,23 @@ from handctl.session.simulate import Simulator
 
 EVERY_S = 30.0
 WARM_S = 600.0
-"""Time until the ring of lateness is full, which takes 2 MiB [s]."""
+"""Time until the buffer with the lateness of the ticks is full [s]. The buffer takes 2 MiB."""
 
 
 class MemorySampler:
-    """Observer of a run that samples the memory of this process and its children."""
+    """An observer of a run, for sampling the memory of this process and of the child processes."""
 
     def __init__(self, until_s: float) -> None:
-        """Start without samples. ``until_s`` ends the run."""
+        """Start without samples, and with the time at which the run must end [s]."""
         self.samples: list[Sample] = []
         self.until_s = until_s
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return a stop request after the end of the time."""
+        """Return a request to stop once the time of the run is over."""
         return (STOP,) if self.samples and self.samples[-1].t >= self.until_s else ()
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Take a sample every ``EVERY_S``."""
+        """Take a sample of the memory every ``EVERY_S``."""
         t = entry.t_ns / 1e9
         if not self.samples or t - self.samples[-1].t >= EVERY_S:
             self.samples.append(sample(os.getpid(), t))
@@ -50,7 +50,7 @@ class MemorySampler:
 
 
 def main() -> int:
-    """Run. Returns 1 if the memory grows."""
+    """Run controller and recorder in lockstep. Return 1 if the memory grows or the run fails."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.growth", description=__doc__)
     parser.add_argument(
         "--hours", type=float, default=1.0, help="duration in simulated time [h] (default: %(default)s)"

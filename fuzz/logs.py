@@ -1,4 +1,7 @@
-"""Targets for logs: any bytes, and records with a valid frame and invalid content, without checksums."""
+"""Targets for logs.
+
+Inputs are any bytes, or records without checksums that have changed content.
+"""
 
 import contextlib
 import struct
@@ -24,12 +27,15 @@ from tests.log import synthetic
 Target = Callable[[bytes], bool]
 EDITS = 4
 TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
-"""Topics that a reader decodes, and /rosout, which a reader skips."""
+"""Topics of the log to keep: those that a reader decodes, and /rosout, which a reader skips."""
 PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
-"""Kinds of records behind the chunks that exist once per topic."""
+"""Kinds of records that follow after the chunks and exist once for each topic."""
 MAGIC = b"\x89MCAP0\r\n"
 NUMERIC_START_BYTES = 48
-"""Length of the numeric fields at the start of a record [bytes]. Half of the changes are in this part."""
+"""Length of the numeric fields at the start of a record [bytes].
+
+Half of the changes are made in these fields.
+"""
 UNUSUAL_BYTES = (
     b"\0",
     b"\xff",
@@ -44,7 +50,7 @@ UNUSUAL_BYTES = (
 
 
 def read_all(path: Path) -> None:
-    """Call everything that a verb may call on a log."""
+    """Read all parts of a log that a command of handctl may read."""
     with RunLog(path) as log:
         log.field(TELEMETRY_FIELDS[0]), log.field(TELEMETRY_FIELDS[-1])
         len(log), list(log.ticks()), log.events, log.phases, log.gaps, log.clock_pairs
@@ -52,7 +58,7 @@ def read_all(path: Path) -> None:
 
 
 def small(folder: Path, seconds: float = 0.3) -> Path:
-    """Write a complete log of a few ticks."""
+    """Write a small but complete log with a few ticks."""
     path = folder / "small.mcap"
     synthetic.write(path, synthetic.header(rate_hz=10, attachments={}), seconds)
     return path
@@ -68,7 +74,10 @@ def _read(path: Path) -> bool:
 
 
 def log(folder: Path) -> Target:
-    """Return the target for records of a log: mostly valid length, changed content, inside and outside of chunks."""
+    """Return the target for a log with changed records, inside and outside of chunks.
+
+    Most have a valid length.
+    """
     parts = _parts(small(folder))
     joined = [_join_records(i, part) for i, part in enumerate(parts)]
     path = folder / "log.mcap"
@@ -92,7 +101,7 @@ def log(folder: Path) -> Target:
 
 
 def _parts(path: Path) -> list[list[bytes]]:
-    """Split a complete log into its records without checksums: before the chunks, in each chunk, and behind them."""
+    """Split a log into lists of records without checksums: before the chunks, in each chunk, and after the chunks."""
     file = LogFile(path)
     result = RecordScan()
     scan_records(file, result)
@@ -117,13 +126,13 @@ def _records(data: bytes) -> Iterator[bytes]:
 
 
 def _is_of_channels(record: bytes, kept: dict[int, int]) -> bool:
-    """Return True if a record belongs to one of these channels, given with their schemas."""
+    """Return True if a record belongs to one of the channels to keep, which are given with their schemas."""
     (number,) = struct.unpack_from("<H", record, 9)
     return number in (kept.values() if record[0] == Opcode.SCHEMA else kept)
 
 
 CHECKED = (Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
-"""Records that end with a checksum. Zero means no checksum."""
+"""Kinds of records that end with a checksum. A checksum of zero means no checksum."""
 
 
 def _without_checksum(record: bytes) -> bytes:
@@ -131,7 +140,7 @@ def _without_checksum(record: bytes) -> bytes:
 
 
 def _join_records(i: int, records: list[bytes]) -> bytes:
-    """Join the records of a part as in the file: head with magic, uncompressed chunk, or end with magic."""
+    """Join the records of part ``i`` as a log has them: head with magic bytes, uncompressed chunk, or end."""
     content = b"".join(records)
     if i == 0:
         return MAGIC + content
@@ -139,7 +148,7 @@ def _join_records(i: int, records: list[bytes]) -> bytes:
 
 
 def _changed_record(record: bytes, source: Source) -> bytes:
-    """Return a record with changed content. One in eight has a wrong length."""
+    """Return a record with changed content. The length of one in eight records is wrong."""
     body = bytearray(record[9:])
     kind = source.number(8)
     if kind == 0:
@@ -157,7 +166,10 @@ def _chunk(content: bytes) -> bytes:
 
 
 def log_bytes(folder: Path) -> Target:
-    """Return the target for any bytes as a log, given to reader and recovery."""
+    """Return the target for any bytes as a log.
+
+    The reader and the recovery of logs get the bytes.
+    """
     path = folder / "bytes.mcap"
     out = folder / "out.mcap"
 

@@ -1,4 +1,7 @@
-"""Conversion of a fuzzer's bytes to a nearly valid document. Pure noise never gets past the first check."""
+"""Conversion of a fuzzer's bytes to nearly valid documents.
+
+Random bytes alone never pass the first check of a parser.
+"""
 
 import struct
 from collections.abc import Iterator, Mapping
@@ -13,7 +16,10 @@ Path = tuple[Any, ...]
 
 
 def paths_of_values(node: Any, path: Path = ()) -> Iterator[Path]:
-    """Yield the paths of all values below a node, including tables and lists."""
+    """Yield the paths of all values below a node of a document.
+
+    Tables and lists also count as values.
+    """
     entries = node.items() if isinstance(node, Mapping) else enumerate(node) if isinstance(node, list) else ()
     for key, value in entries:
         yield (*path, key)
@@ -21,20 +27,23 @@ def paths_of_values(node: Any, path: Path = ()) -> Iterator[Path]:
 
 
 class Source:
-    """The bytes of a fuzzer, consumed from the front. Zeros follow after the end."""
+    """The bytes of a fuzzer, which are consumed from the front.
+
+    Zeros follow after the end.
+    """
 
     def __init__(self, data: bytes) -> None:
-        """Start at the first byte."""
+        """Start at the first byte of the data."""
         self.data = data
         self.at = 0
 
     def take(self, size: int) -> bytes:
-        """Consume bytes."""
+        """Consume and return a number of bytes."""
         self.at += size
         return self.data[self.at - size : self.at].ljust(size, b"\0")
 
     def number(self, below: int) -> int:
-        """Consume a number from 0 to ``below`` - 1."""
+        """Consume bytes, and return a number from 0 to ``below`` - 1."""
         return int.from_bytes(self.take(2), "little") % below
 
     @property
@@ -44,7 +53,7 @@ class Source:
 
 
 def value(source: Source, old: Any) -> Any:
-    """Return a replacement for a value: unusual, random bits, or scaled."""
+    """Return a replacement for a value: an unusual value, random bits, or the scaled old value."""
     kind = source.number(5)
     if kind == 0:
         return struct.unpack("<d", source.take(8))[0]
@@ -58,13 +67,13 @@ def value(source: Source, old: Any) -> Any:
 
 
 def mutated(content: Mapping[str, Any], paths: list[Path], source: Source, max_changes: int = 4) -> dict[str, Any]:
-    """Return a copy with some values changed, removed, renamed or repeated.
+    """Return a copy of a document in which some values are changed, removed, renamed or repeated.
 
     Args:
-        content: parsed TOML file, which stays unchanged.
-        paths: ``paths_of_values`` of the content.
+        content: parsed TOML file. It is not changed.
+        paths: paths of all values of the content, see ``paths_of_values``.
         source: bytes that select the changes.
-        max_changes: largest number of changes.
+        max_changes: maximum number of changes.
     """
     made: dict[str, Any] = dict(content)
     for _ in range(max_changes):
@@ -78,7 +87,10 @@ def mutated(content: Mapping[str, Any], paths: list[Path], source: Source, max_c
 
 
 def _copied_node(root: dict[str, Any], path: Path) -> Any:
-    """Return the node of a path after copying all nodes above it. Return None if the node no longer exists."""
+    """Copy the nodes on a path, and return the last one.
+
+    Return None if this node no longer exists.
+    """
     node: Any = root
     for key in path:
         try:

@@ -11,13 +11,19 @@ ROOT = Path(__file__).parents[1]
 
 
 def compiled_modules() -> list[str]:
-    """List the modules that numba compiles, because numba cannot compile instrumented code."""
+    """List the modules that numba compiles.
+
+    They must not be instrumented, because numba cannot compile instrumented code.
+    """
     paths = [path for path in (ROOT / "firmware_sim").rglob("*.py") if "\n@compiled(" in path.read_text()]
     return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
 
 
 def main() -> None:
-    """Fuzz. A crash saves its input and ends the process with an exit code other than 0."""
+    """Fuzz one target.
+
+    A crash ends the process with an exit code other than 0, after saving the input.
+    """
     name, corpus, *options = sys.argv[1:]
     with atheris.instrument_imports(include=["handctl", "firmware_sim"], exclude=compiled_modules()):
         from fuzz.targets import TARGETS, seeds

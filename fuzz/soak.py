@@ -29,20 +29,20 @@ from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, write_homed
 
 SIZE_MIB_PER_H = 1.0
-"""Largest growth of the memory [MiB/h]."""
+"""Largest growth of the memory that passes [MiB/h]."""
 WARM_S = 300.0
-"""Warm-up in which a process still allocates its working memory [s]."""
+"""Duration of the warm-up, in which a process still allocates its working memory [s]."""
 WINDOW_S = 300.0
-"""Length of a window for the peak of the memory [s]."""
+"""Length of the time windows whose peaks of memory are compared [s]."""
 MIN_SLOPE_TIME_S = 1800.0
-"""Shortest time for a slope per hour [s]."""
+"""Shortest time of samples from which a growth per hour is computed [s]."""
 ACCEPTED_EXITS = (0, 1, 71)
-"""Accepted exit codes of a run: done, ended by a named fault, and ended without confirmation by every drive."""
+"""Accepted exit codes of a controller: done, ended by a named fault, or ended without confirmation from all drives."""
 TASK = LONG.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 
 class Sample(NamedTuple):
-    """Memory and descriptors of a process with its children at a time [s, MiB, number]."""
+    """Time [s], memory [MiB] and number of open descriptors of a process together with its children."""
 
     t: float
     rss: float
@@ -50,7 +50,7 @@ class Sample(NamedTuple):
 
 
 def sample(pid: int, t: float) -> Sample:
-    """Sample a process and its children."""
+    """Sample the memory and descriptors of a process and its children at time ``t`` [s]."""
     pids = [pid, *map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())]
     rss = descriptors = 0
     for one in pids:
@@ -61,10 +61,10 @@ def sample(pid: int, t: float) -> Sample:
 
 
 def slope(samples: list[Sample], warm_s: float = WARM_S) -> float | None:
-    """Return the growth of the memory after the warm-up [MiB/h]. None if the samples cover too short a time.
+    """Return the growth of the memory after the warm-up [MiB/h], or None if the samples cover too short a time.
 
-    The slope is fitted to the largest value in each ``WINDOW_S``. Memory that is freed and allocated again is
-    no growth.
+    The slope is fitted to the largest value in each window of ``WINDOW_S``. Memory that is freed
+    and allocated again thus does not count as growth.
     """
     warm = [one for one in samples if one.t - samples[0].t >= warm_s]
     if not warm or warm[-1].t - warm[0].t < MIN_SLOPE_TIME_S:
@@ -76,10 +76,13 @@ def slope(samples: list[Sample], warm_s: float = WARM_S) -> float | None:
 
 
 class Soak:
-    """Simulator and controller processes, and the records about them."""
+    """The processes of simulator and controller, and the records of their memory, exits and errors."""
 
     def __init__(self, seed: int, scale: float) -> None:
-        """Start without processes, with a seed for the faults and a time scale."""
+        """Start without processes.
+
+        The seed selects the faults, and the time scale is that of the simulation.
+        """
         self.chance = random.Random(seed)
         self.scale = str(scale)
         self.lives: dict[str, list[list[Sample]]] = {"simulator": [], "controller": []}
@@ -90,7 +93,7 @@ class Soak:
         self.controller: subprocess.Popen[str] | None = None
 
     def start_simulator(self) -> None:
-        """Start a simulated hand without faults."""
+        """Start a new simulated hand without faults, in place of the old one."""
         if self.simulator:
             end(self.simulator)
         words = ("--bus", BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
@@ -102,7 +105,7 @@ class Soak:
         self.counts["simulators"] += 1
 
     def start_controller(self) -> bool:
-        """Start a controller. Returns True if it armed and holds the hand bent."""
+        """Start a controller. Return True once it has armed and holds the hand bent."""
         self.number += 1
         write_homed(Path("c.toml"), load_hand("jamia"))
         words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--clear", "--json")
@@ -121,7 +124,7 @@ class Soak:
         return False
 
     def end_controller(self) -> None:
-        """Stop the controller if it runs, and judge exit code and log."""
+        """Stop the controller if still running, and check exit code and log."""
         if self.controller is None:
             return
         if self.controller.poll() is None:
@@ -144,7 +147,10 @@ class Soak:
             left.unlink()
 
     def ready(self) -> None:
-        """Ensure that a controller holds the hand, with a new simulator if the old one cannot be used any more."""
+        """Ensure that a controller holds the hand.
+
+        If no controller can arm, start a new simulator.
+        """
         if self.controller is not None and self.controller.poll() is None:
             return
         self.end_controller()
@@ -155,7 +161,7 @@ class Soak:
                 self.wrong.append("a new simulator and a new controller did not arm")
 
     def fault(self) -> str:
-        """Inject a random fault and return its text."""
+        """Inject a random fault, and return the text of the fault."""
         hand = load_simulated("jamia")
         kind = self.chance.choice([one for one in KINDS if any(instances(c, hand, one) for c in KINDS[one].components)])
         places = [
@@ -169,13 +175,13 @@ class Soak:
         return text
 
     def look(self, t: float) -> None:
-        """Sample both processes."""
+        """Sample memory and descriptors of simulator and controller."""
         for name, process in (("simulator", self.simulator), ("controller", self.controller)):
             if process is not None and process.poll() is None:
                 self.lives[name][-1].append(sample(process.pid, t))
 
     def judged(self) -> dict[str, object]:
-        """Return the result: counts, memory, descriptors, and all errors."""
+        """Return the result of the soak: counts, growth of memory, numbers of descriptors, and all errors."""
         slopes = {name: [slope(one) for one in lives if one] for name, lives in self.lives.items()}
         known_slopes = {name: [one for one in found if one is not None] for name, found in slopes.items()}
         for name, found in known_slopes.items():
@@ -197,7 +203,7 @@ class Soak:
 
 
 def main() -> int:
-    """Run the soak. Returns 1 if anything was wrong."""
+    """Run the soak. Return 1 after any error."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.soak", description=__doc__)
     parser.add_argument("--hours", type=float, default=24.0, help="duration [h] (default: %(default)s)")
     parser.add_argument("--every", type=float, default=60.0, help="time between two faults [s] (default: %(default)s)")

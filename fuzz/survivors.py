@@ -1,4 +1,4 @@
-"""Report of surviving mutants: score of each module, survivors without a reason in docs/evidence/mutation.md."""
+"""Report of a mutation test: the score of each module, and survivors without a reason in docs/evidence/mutation.md."""
 
 import json
 import sys
@@ -7,11 +7,14 @@ from pathlib import Path
 
 REASONS = Path("docs/evidence/mutation.md")
 SURVIVED, UNTESTED, NOT_RUN = (0,), (5, 33), (None, 2, 34)
-"""Exit codes in the records of mutmut: no test failed, no selected test calls the function, and not run to the end."""
+"""Exit codes of mutants in the records of mutmut: no test failed, no selected test calls the function, or not run."""
 
 
 def main() -> int:
-    """Print the table. Returns 1 if a survivor has no reason, or if no mutant was judged."""
+    """Print the table.
+
+    Return 1 if a surviving mutant has no reason, or if no mutant was run to the end.
+    """
     reasons = REASONS.read_text() if REASONS.exists() else ""
     unexplained = list[str]()
     all_judged = 0

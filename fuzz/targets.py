@@ -1,4 +1,4 @@
-"""All targets by name, with the initial inputs of their corpus."""
+"""All fuzzing targets by name, and the initial inputs of each target's corpus."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +25,7 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
 
 
 def seeds(name: str, folder: Path) -> list[bytes]:
-    """Return valid inputs for the start of the corpus."""
+    """Return valid inputs with which the corpus of a target starts."""
     if name in DRIVES:
         return wire.answers(name, folder)
     if name == "hand-text":

@@ -1,4 +1,4 @@
-"""Targets for single lines: requests to a running controller, and fault texts."""
+"""Targets for texts of a single line: requests to a running controller, and texts of faults."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +14,7 @@ Target = Callable[[bytes], bool]
 
 
 def request(folder: Path) -> Target:
-    """Return the target for requests of the mailbox."""
+    """Return the target for requests that a running controller gets from its mailbox."""
 
     def target(data: bytes) -> bool:
         answer = parse_request(data.decode("utf-8", "replace"))
@@ -31,7 +31,10 @@ WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "size", "
 
 
 def fault(folder: Path) -> Target:
-    """Return the target for fault texts, of any bytes and of the words of their grammar."""
+    """Return the target for texts of faults.
+
+    Inputs are any bytes, or words that such texts have.
+    """
     hand = load_simulated("jamia")
 
     def target(data: bytes) -> bool:

@@ -1,9 +1,10 @@
-"""Targets for frames from the wire: the decoder of each protocol and of the sensor node, in every state.
+"""Targets for received CAN frames: the decoders of each drive protocol and of the sensor node, in every state.
 
     state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
 
-The first byte selects the initial state. The corpus starts with the frames that a drive receives in
-each state until it makes torque, because random identifiers belong to no node.
+The first byte of an input selects the initial state. The corpus starts with the frames that the
+driver of a drive receives until the drive makes torque. Random identifiers alone would belong to no
+node.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,19 +20,22 @@ from tests.drives.wired import Wired
 
 Target = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
-"""Time between frames, and a silence after which every drive counts as lost [ns]."""
+"""Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
 SILENCE = 240
-"""Third byte from which a silence precedes the frame."""
+"""Smallest third byte that puts a long silence before its frame."""
 MARKS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
 CLEAR = 0x40
-"""Bit of the third byte that clears an error."""
+"""Bit of the third byte that makes the target clear an error."""
 LONGEST = 64
 
 
 def frames(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame, int]]:
-    """Yield frames, mostly on an identifier of the node, each with its third byte."""
+    """Yield the frames of an input, each with its third byte.
+
+    Most have an identifier of the node.
+    """
     at = 1
     end = len(data)
     for _ in range(MAX_FRAMES):
@@ -47,7 +51,7 @@ def frames(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame,
 
 
 class RecordedState(NamedTuple):
-    """State of a drive before a tick, time of the tick [ns], and the frames received in it."""
+    """State of a drive before a tick, time of the tick [ns], and frames received in the tick."""
 
     state: DriveState
     t_ns: int
@@ -55,7 +59,7 @@ class RecordedState(NamedTuple):
 
 
 def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
-    """Return a drive of ``DRIVES``, and its states from silence to torque."""
+    """Return a drive of ``DRIVES``, and its recorded states from silence until it makes torque."""
     fuzzed = DRIVES[name]
     path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
     lines = path.read_text().splitlines(keepends=True)
@@ -75,7 +79,7 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]
 
 
 def answers(name: str, folder: Path) -> list[bytes]:
-    """Return the frames that a drive receives until it makes torque, as inputs."""
+    """Return the recorded frames of a drive up to torque, coded as inputs of the target."""
     motor, seen = path_to_torque(name, folder)
     ours = identifiers(motor, seen)
     inputs = []
@@ -86,21 +90,21 @@ def answers(name: str, folder: Path) -> list[bytes]:
 
 
 def identifiers(motor: Drive, seen: Sequence[RecordedState]) -> list[int]:
-    """Return the identifiers that a byte of an input selects, at most 256.
+    """Return the identifiers among which a byte of an input selects, at most 256.
 
-    Identifiers of received frames come first.
+    The identifiers of the recorded frames come first.
     """
     received = {frame.can_id for one in seen for frame in one.received}
     return [*sorted(received), *sorted(motor.node_ids - received)][:256]
 
 
 def _shape(payload: bytes) -> tuple[int, int]:
-    """Return the second and third byte before a payload."""
+    """Return the two bytes that precede a payload in an input: shape and third byte."""
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 
 
 def drive(name: str) -> Callable[[Path], Target]:
-    """Return the maker of the target for a drive of ``DRIVES``."""
+    """Return the function that makes the target for a drive of ``DRIVES``."""
 
     def make(folder: Path) -> Target:
         motor, seen = path_to_torque(name, folder)
@@ -111,7 +115,10 @@ def drive(name: str) -> Callable[[Path], Target]:
 
 
 def _feed_drive(motor: Drive, begin: RecordedState, ours: Sequence[int], data: bytes) -> bool:
-    """Feed frames to a drive and request a phase after each. Returns True if a frame changed the state."""
+    """Feed frames to a drive, and request a phase after each frame.
+
+    Return True if a frame changed the state.
+    """
     state = begin.state
     taken = False
     for frame, more in frames(data, ours, begin.t_ns):
@@ -143,7 +150,10 @@ def sensors(folder: Path) -> Target:
 
 
 def _feed_sensor_node(wired: Wired, begin: Block, ours: Sequence[int], data: bytes) -> bool:
-    """Feed frames to the sensor node from the state ``begin``. Returns True if a frame changed the state."""
+    """Feed frames to the decoder of the sensor node, from the state ``begin``.
+
+    Return True if any frame counted.
+    """
     wired.block[:] = begin
     taken = 0
     for frame, more in frames(data, ours, STEP_NS):

@@ -23,7 +23,7 @@ TERMS = tomllib.loads(Path(__file__).with_name("language_terms.toml").read_text(
 LIMITS = Path(__file__).with_name("language_limits.toml")
 FOLDERS = ("src", "firmware_sim", "tests", "benchmarks", "fuzz", "tools")
 DOCUMENTS = "documents"
-"""Name of the counts of all Markdown files."""
+"""Name under which all Markdown files are counted together."""
 
 PER = {
     "names": ("name words", 1000),
@@ -37,9 +37,12 @@ PER = {
     "long_lines": ("lines", 100),
     "repeated_classes": ("", 1),
 }
-"""Divisor and factor of each ratio. A count without a divisor is absolute."""
+"""Quantity by which each count is divided, and factor of the ratio.
+
+A count without such a quantity is absolute.
+"""
 LONG = 100
-"""Characters above which a line counts as long."""
+"""Number of characters above which a line counts as long."""
 ROUNDING = 2
 """Limits are multiples of 1 / ROUNDING, so that a single sentence does not exceed a limit."""
 
@@ -47,7 +50,7 @@ _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _PROSE = {name: re.compile(pattern, re.IGNORECASE) for name, pattern in TERMS["prose"].items()}
 _VERBS = set(TERMS["verbs"]["words"].split())
 _CODE = re.compile(r"^```.*?^```|`[^`\n]*`|^\|.*?$|\*\*[^*\n]+:\*\*", re.MULTILINE | re.DOTALL)
-"""Parts of a document that are not prose: blocks of code, quoted code, rows of tables, labels in bold."""
+"""Parts of a Markdown document that are not prose: blocks of code, quoted code, rows of tables, labels in bold."""
 
 
 @dataclass
@@ -55,8 +58,8 @@ class Tally:
     """Counts of one folder.
 
     Attributes:
-        counts: count of each key of ``PER``.
-        totals: total of each quantity that counts are divided by.
+        counts: number of findings for each key of ``PER``.
+        totals: total of each quantity by which counts are divided.
         places: ``file:line: finding`` of each count.
     """
 
@@ -65,19 +68,19 @@ class Tally:
     places: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
     def add(self, count: str, place: str, finding: str, times: int = 1) -> None:
-        """Add findings at one place."""
+        """Add findings of one kind at one place."""
         self.counts[count] += times
         if times:
             self.places[count].append(f"{place}: {finding}")
 
     def ratio(self, count: str) -> float:
-        """Return a count in relation to its quantity."""
+        """Return a count divided by its quantity, as ``PER`` defines."""
         quantity, factor = PER[count]
         return factor * self.counts[count] / max(self.totals[quantity], 1) if quantity else self.counts[count]
 
 
 def count_prose(tally: Tally, text: str, place: str) -> None:
-    """Count words and patterns of a docstring or document."""
+    """Count the words and the patterns of dialect in a docstring or document."""
     tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
     for name, pattern in _PROSE.items():
         matches = pattern.findall(text)
@@ -85,10 +88,10 @@ def count_prose(tally: Tally, text: str, place: str) -> None:
 
 
 def count_module(tally: Tally, tree: ast.Module, text: str, name: str) -> None:
-    """Count names, docstrings and the shape of a module.
+    """Count findings in the names, docstrings and lines of a module.
 
     Args:
-        tally: counts of the folder, changed.
+        tally: counts of the folder, to which this function adds.
         tree: parsed module.
         text: source of the module.
         name: path of the module, for places.
@@ -121,7 +124,7 @@ def _defined(node: ast.AST) -> list[str]:
 
 
 def _is_parallel(node: ast.AST) -> bool:
-    """Return True for ``a, b = x, y``, but not for a swap."""
+    """Return True for an assignment ``a, b = x, y``, but not for a swap."""
     match node:
         case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values)):
             return {ast.unparse(each) for each in targets} != {ast.unparse(each) for each in values}
@@ -129,7 +132,10 @@ def _is_parallel(node: ast.AST) -> bool:
 
 
 def _count_docstring(tally: Tally, node: ast.AST, place: str) -> None:
-    """Count the docstring of a module, class or function. Only the docstring of a function must begin with a verb."""
+    """Count the docstring of a module, class or function.
+
+    Docstrings of functions must begin with a verb.
+    """
     if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
         return
     text = ast.get_docstring(node) or ""
@@ -142,7 +148,7 @@ def _count_docstring(tally: Tally, node: ast.AST, place: str) -> None:
 
 
 def _attribute_docs(tree: ast.Module) -> Iterator[str]:
-    """Yield the strings below constants and attributes."""
+    """Yield the documentation strings below constants and attributes."""
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         for part in body[1:] if isinstance(body, list) else ():
@@ -152,13 +158,13 @@ def _attribute_docs(tree: ast.Module) -> Iterator[str]:
 
 
 def comments(text: str) -> int:
-    """Return the number of comments for a reader. Directives to tools are not counted."""
+    """Return the number of comments in a module. Directives for tools do not count."""
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     return sum(token.type == tokenize.COMMENT and not re.search("noqa|type:|fmt:", token.string) for token in tokens)
 
 
 def count_folder(folder: Path) -> Tally:
-    """Count all modules of a folder."""
+    """Count the findings in all modules of a folder."""
     tally, classes = Tally(), defaultdict(list)
     for path in sorted(folder.rglob("*.py")):
         text, name = path.read_text(encoding="utf-8"), path.relative_to(folder.parent).as_posix()
@@ -174,7 +180,7 @@ def count_folder(folder: Path) -> Tally:
 
 
 def count_documents(root: Path) -> Tally:
-    """Count the prose of the documents at the top and in ``docs``."""
+    """Count the findings in the Markdown documents at the top of the project and in ``docs``."""
     tally = Tally()
     for path in sorted([*root.glob("*.md"), *root.glob("docs/**/*.md")]):
         count_prose(tally, _CODE.sub(" ", path.read_text(encoding="utf-8")), path.relative_to(root).as_posix())
@@ -182,13 +188,13 @@ def count_documents(root: Path) -> Tally:
 
 
 def count_all(root: Path) -> dict[str, Tally]:
-    """Count every folder and the documents."""
+    """Count the findings in every folder and in the documents."""
     folders = {name: count_folder(root / name) for name in FOLDERS if (root / name).is_dir()}
     return folders | {DOCUMENTS: count_documents(root)}
 
 
 def ratios(tally: Tally) -> dict[str, float]:
-    """Return every ratio that a tally has a quantity for, rounded up to a multiple of one half."""
+    """Return all ratios whose quantity a tally has, each rounded up to a multiple of one half."""
     measured = [count for count, (quantity, _) in PER.items() if not quantity or tally.totals[quantity]]
     return {count: -(-round(tally.ratio(count) * ROUNDING, 6) // 1) / ROUNDING for count in measured}
 
@@ -197,7 +203,10 @@ Limits = dict[str, dict[str, float]]
 
 
 def excesses(tallies: dict[str, Tally], limits: Limits) -> Iterator[str]:
-    """Yield a line for each count above its limit. The limits of a folder without limits are zero."""
+    """Yield a line for each count above its limit.
+
+    If a folder has no limits in the file, its limits are zero.
+    """
     for name, tally in tallies.items():
         for count, ratio in ratios(tally).items():
             limit = limits.get(name, {}).get(count, 0.0)
@@ -208,7 +217,7 @@ def excesses(tallies: dict[str, Tally], limits: Limits) -> Iterator[str]:
 
 
 def lowered_limits(tallies: dict[str, Tally], limits: Limits) -> Limits:
-    """Return limits that are the current counts, or the old limits where those are lower."""
+    """Return new limits: the current counts, or the old limits where these are lower."""
     return {
         name: {count: min(ratio, limits.get(name, {}).get(count, ratio)) for count, ratio in ratios(tally).items()}
         for name, tally in tallies.items()
@@ -216,7 +225,7 @@ def lowered_limits(tallies: dict[str, Tally], limits: Limits) -> Limits:
 
 
 def to_toml(limits: Limits) -> str:
-    """Write limits as TOML."""
+    """Return limits as the text of a TOML file."""
     head = "# Written by `python tools/language.py --tighten`, which only lowers limits. Ratios as in PER there.\n"
     sections = (
         f"\n[{name}]\n" + "".join(f"{count} = {limit:g}\n" for count, limit in counts.items())
@@ -226,7 +235,7 @@ def to_toml(limits: Limits) -> str:
 
 
 def print_table(tallies: dict[str, Tally]) -> None:
-    """Print a row for each count and a column for each folder."""
+    """Print a table of all counts, with a row for each count and a column for each folder."""
     print(f"{'':30}" + "".join(f"{name:>13}" for name in tallies))
     for count, (quantity, factor) in PER.items():
         label = f"{count} / {factor} {quantity}" if quantity else count

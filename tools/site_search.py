@@ -1,4 +1,4 @@
-"""Hook of mkdocs: pages with answers are first in the search, and the search page is left out."""
+"""A hook of mkdocs. It puts pages with answers first in the search, and leaves one page out."""
 
 from typing import Any
 
@@ -6,13 +6,16 @@ BOOST = {
     "how-to/stop.md": 10.0, "how-to/why-a-run-ended.md": 3.0, "how-to/adapters.md": 3.0, "reference/topics.md": 4.0,
     "reference/faults.md": 3.0, "how-to/adding-a-drive.md": 2.0, "how-to/other-tools.md": 3.0,
 }  # fmt: skip
-"""Factor of a page's score in the search."""
+"""Factor that multiplies the search score of a page."""
 EXCLUDED = ("evidence/lookups.md",)
 """Pages that the search leaves out, because they quote questions without answering them."""
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Set the rank of a page. Front matter in the page could do the same, but GitHub would show it."""
+    """Set the rank of a page in the search.
+
+    Front matter in the page could do so too, but GitHub would show it.
+    """
     path = page.file.src_uri
     if path in BOOST:
         page.meta.setdefault("search", {"boost": BOOST[path]})

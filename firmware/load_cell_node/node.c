@@ -1,10 +1,10 @@
-/* Frame of a group of five channels, bits numbered from the lowest bit of byte 0 (Intel order):
+/* A tension frame has up to five channels. Bits are numbered from the lowest bit of byte 0 (Intel order):
  *
  *     bits    0..3       4..15       16..27      28..39      40..51      52..63
  *     field   counter    channel 0   channel 1   channel 2   channel 3   channel 4
  *
- * A channel is the tension in steps of 62.5 mN above -6 N. The ends 0 and 4095 mean that the reading is
- * not valid. The counter repeats the low four bits of SYNC's byte. A frame with fewer channels is cut.
+ * A channel holds the tension above -6 N, in steps of 62.5 mN. The codes 0 and 4095 mean that the reading is
+ * not valid. The counter repeats the low four bits of the byte in SYNC. A frame with fewer channels is shorter.
  */
 #include "node.h"
 
@@ -12,15 +12,15 @@
 
 enum { PER_FRAME = 5, CHANNEL_BITS = 12, COUNTER_BITS = 4, BROKEN = 0, LAST_CODE = 4095 };
 
-static const int32_t COUNTS_MAX = (1 << 23) - 1;   /* both ends of the ADC's range mean a broken bridge */
-static const int64_t STEP_NN = 62500000;           /* 62.5 mN */
-static const int64_t LOWEST_NN = -6000000000;      /* -6 N */
+static const int32_t COUNTS_MAX = (1 << 23) - 1;   /* counts at an end of the ADC's range mean a broken bridge */
+static const int64_t STEP_NN = 62500000;           /* tension of one code step [nN]: 62.5 mN */
+static const int64_t LOWEST_NN = -6000000000;      /* tension of code 0 [nN]: -6 N */
 
 bool node_init(struct node *node, const struct node_settings *settings, const struct node_board *board) {
     const int frames = (settings->channels + PER_FRAME - 1) / PER_FRAME;
     if (settings->channels < 1 || settings->channels > NODE_CHANNELS) return false;
     if (settings->sync_id > 0x7FF || settings->base_id + frames - 1 > 0x7FF) return false;
-    /* A frame of its own must not look like SYNC. */
+    /* No tension frame of this node may have the identifier of SYNC. */
     if (settings->sync_id >= settings->base_id && settings->sync_id < settings->base_id + frames) return false;
     for (uint8_t i = 0; i < settings->channels; i++) {
         if (settings->nN_per_count[i] == 0) return false;
@@ -31,14 +31,14 @@ bool node_init(struct node *node, const struct node_settings *settings, const st
     return true;
 }
 
-/* Return the 12-bit code of a reading. */
+/* Return the 12-bit code of a reading, and count the SYNCs without a new conversion. */
 static uint16_t code_of(struct node *node, int channel, const struct node_reading *reading) {
     const struct node_settings *settings = &node->settings;
     if (reading->valid && reading->fresh) node->stale[channel] = 0;
     else if (node->stale[channel] < NODE_STALE_SYNCS) node->stale[channel]++;
     if (!reading->valid || node->stale[channel] >= NODE_STALE_SYNCS) return BROKEN;
     if (reading->counts >= COUNTS_MAX || reading->counts <= -COUNTS_MAX) return BROKEN;
-    /* 2^24 counts of at most 2^31 nN fit in 64 bits. */
+    /* The product fits in 64 bits: at most 2^24 counts times 2^31 nN. */
     const int64_t counts = (int64_t)reading->counts - settings->zero[channel];
     const int64_t above = counts * settings->nN_per_count[channel] - LOWEST_NN + STEP_NN / 2;
     if (above < STEP_NN) return BROKEN;

@@ -1,1 +1,1 @@
-"""Buses of the simulator: local hubs, Linux CAN interfaces, and local buses whose frames take time on the wire."""
+"""Buses of the simulator: local hubs, Linux CAN interfaces, and local buses with simulated times on the wire."""

@@ -1,11 +1,11 @@
-"""The CAN frame of the simulated nodes, and its record of 72 bytes on a local bus.
+"""The CAN frame of the simulated nodes, and the record of 72 bytes for frames on a local bus.
 
 Record (``struct canfd_frame``, little-endian):
 
     byte  0..3   identifier with flag bits: 31 extended, 30 remote, 29 error
     byte  4      payload length
     byte  5      flags: 0x01 BRS, 0x02 ESI, 0x04 FDF
-    byte  6..7   drop count modulo 65536, written by the hub
+    byte  6..7   number of records dropped for the receiver, modulo 65536, written by the hub
     byte  8..71  payload, padded with zeros
 """
 
@@ -13,11 +13,11 @@ import struct
 from typing import NamedTuple
 
 EXTENDED = 1 << 31
-"""Flag bit of a 29-bit identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
+"""Flag bit of an identifier of 29 bits. Source: Linux ``can.h``, CAN_EFF_FLAG."""
 REMOTE = 1 << 30
-"""Flag bit of a remote frame. Source: Linux ``can.h``, CAN_RTR_FLAG."""
+"""Flag bit in the identifier of a remote frame. Source: Linux ``can.h``, CAN_RTR_FLAG."""
 ERROR = 1 << 29
-"""Flag bit of an error frame. Source: Linux ``can.h``, CAN_ERR_FLAG."""
+"""Flag bit in the identifier of an error frame. Source: Linux ``can.h``, CAN_ERR_FLAG."""
 
 BRS = 1
 """CAN FD flag: bit-rate switch. Source: Linux ``can.h``, CANFD_BRS."""
@@ -37,10 +37,10 @@ class Frame(NamedTuple):
 
     Attributes:
         can_id: 11- or 29-bit identifier with the flag bits of SocketCAN.
-        data: payload, at most 8 bytes (classical) or 64 bytes (FD).
-        flags: BRS | ESI | FDF, 0 for a classical frame.
-        bus: index into the hand's list of buses.
-        t_ns: time of reception [ns].
+        data: payload of the frame, at most 8 bytes (classical) or 64 bytes (FD).
+        flags: CAN FD flags, a combination of BRS, ESI and FDF. 0 for a classical frame.
+        bus: index of the frame's bus in the hand's list of buses.
+        t_ns: time at which the frame was received [ns].
     """
 
     can_id: int
@@ -51,7 +51,7 @@ class Frame(NamedTuple):
 
 
 def pack_record(frame: Frame) -> bytes:
-    """Pack a frame into a record of 72 bytes, with a drop count of zero."""
+    """Pack a frame into a record of 72 bytes. The record's count of dropped records is zero."""
     return _RECORD.pack(frame.can_id, len(frame.data), frame.flags, 0, 0, frame.data)
 
 
@@ -59,12 +59,13 @@ def unpack_record(record: bytes, bus: int = 0, t_ns: int = 0) -> Frame | None:
     """Unpack the frame of a record of 72 bytes.
 
     Args:
-        record: 72 bytes.
-        bus: index of the bus for the frame.
-        t_ns: time of reception for the frame [ns].
+        record: record of a local bus, 72 bytes.
+        bus: index of the bus to set in the returned frame.
+        t_ns: time of reception to set in the returned frame [ns].
 
     Returns:
-        The frame, or None if the length does not fit the frame format.
+        The frame, or None if the payload length in the record is not allowed for the frame's
+        format.
     """
     can_id, length, flags, _, _, data = _RECORD.unpack(record)
     if length > (64 if flags & FDF else 8):

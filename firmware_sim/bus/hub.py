@@ -1,8 +1,9 @@
 """The hub of a local bus: every client receives the records of all other clients, and no client can block the hub.
 
-A record has 72 bytes (``frame.RECORD_SIZE``). One read may return several records, and may end
-inside a record. In records sent to a client, bytes 6 and 7 hold the number of records dropped for
-this client, modulo 65536. Records are dropped if the client does not read them.
+A record has 72 bytes (``frame.RECORD_SIZE``). One read from a socket may return several records,
+and may end in the middle of a record. The hub drops records for a client without room in the socket
+buffer. In each record for a client, bytes 6 and 7 hold the number of records dropped for the client
+until now, modulo 65536.
 """
 
 import contextlib
@@ -20,21 +21,29 @@ from firmware_sim.description import SimulatorError
 from firmware_sim.paths import bus_path
 
 BUFFER_BYTES = 1 << 20
-"""Buffer requested from the kernel for each direction [bytes]. Linux grants 416 KiB by default."""
+"""Size of the socket buffer requested from the kernel for each direction [bytes].
+
+Linux grants 416 KiB by default.
+"""
 _PEER_CREDENTIALS = struct.Struct("3i")
-"""Linux's ``struct ucred``: process, user, group."""
+"""Linux's ``struct ucred``: process, user and group of the peer of a Unix socket."""
 _MAX_READ_BYTES = 1 << 16
-"""Maximum bytes of one read from a client. The limit keeps a flooding client from blocking the others."""
+"""Maximum bytes of one read from a client.
+
+The limit keeps a client that floods the bus from blocking the others.
+"""
 
 
 class HubConnection:
-    """One connection that carries whole records in both directions and never blocks.
+    """One connection of a hub and a client.
+
+    Both directions carry whole records, and no method blocks.
 
     Attributes:
-        socket: non-blocking stream socket.
-        dropped: records that did not fit into the kernel's buffer.
+        socket: non-blocking stream socket of the connection.
+        dropped: number of records dropped because the kernel's send buffer was full.
         closed: True once the other end has closed the connection.
-        unsent: remaining bytes of a record that was sent in part.
+        unsent: bytes not yet sent of a partly sent record.
     """
 
     def __init__(self, link: socket.socket) -> None:
@@ -53,7 +62,10 @@ class HubConnection:
             link.setsockopt(socket.SOL_SOCKET, option, BUFFER_BYTES)
 
     def receive(self) -> bytes:
-        """Receive whole records. The first bytes of an incomplete record wait for the rest."""
+        """Receive whole records.
+
+        The first bytes of an incomplete record are kept until the other bytes arrive.
+        """
         try:
             piece = self.socket.recv(_MAX_READ_BYTES)
         except BlockingIOError:
@@ -73,20 +85,21 @@ class HubConnection:
             self.dropped += count
             return
         stamped = bytearray(records)
-        # Bytes 6 and 7 of every record at once: the slice step is the record size.
+        # Write bytes 6 and 7 of all records at once. The step of the slice is the size of a record.
         stamped[6::RECORD_SIZE] = bytes((self.dropped & 0xFF,)) * count
         stamped[7::RECORD_SIZE] = bytes((self.dropped >> 8 & 0xFF,)) * count
         sent = self._send(stamped)
-        # Round up: a record of which only some bytes were sent must be completed later.
+        # The count of started records is rounded up, because a partly sent record must be completed
+        # later.
         started = -(-sent // RECORD_SIZE)
         self.unsent = bytes(stamped[sent : started * RECORD_SIZE])
         self.dropped += count - started
 
     def flush(self) -> bool:
-        """Send the rest of a record that was sent in part.
+        """Send the remaining bytes of a partly sent record.
 
         Returns:
-            True if the next record may follow.
+            True if no bytes remain. The next record may then be sent.
         """
         if self.unsent:
             self.unsent = self.unsent[self._send(self.unsent) :]
@@ -127,7 +140,7 @@ class Hub:
 
     @property
     def dropped(self) -> int:
-        """Return the number of records dropped for all clients, including disconnected clients."""
+        """Return the number of records dropped for all present and past clients together."""
         return self._closed_dropped + sum(link.dropped for link in self._links)
 
     @property
@@ -145,7 +158,7 @@ class Hub:
         return [self._listener, *(link.socket for link in self._links)]
 
     def writers(self) -> list[socket.socket]:
-        """Return the sockets of clients with an incomplete record, to poll for writing."""
+        """Return the sockets to poll for writing: sockets of clients with a partly sent record."""
         return [link.socket for link in self._links if link.unsent]
 
     def serve(self, ready: Collection[socket.socket]) -> bytes:
@@ -155,7 +168,7 @@ class Hub:
             ready: sockets that are ready for reading.
 
         Returns:
-            The records of all clients, for the owner of the hub.
+            The records that all clients sent, for the owner of the hub.
         """
         received = self.poll(ready)
         for link, records in received:
@@ -164,7 +177,7 @@ class Hub:
         return b"".join(records for _, records in received)
 
     def poll(self, ready: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
-        """Accept clients and read their records without forwarding.
+        """Accept clients and read their records, but forward no records.
 
         Args:
             ready: sockets that are ready for reading.
@@ -201,7 +214,7 @@ class Hub:
                 link.deliver(records)
 
     def drop_closed(self) -> None:
-        """Remove the clients that have disconnected."""
+        """Remove the clients that have disconnected from the hub."""
         if not any(link.closed for link in self._links):
             return
         for link in self._links:
@@ -211,31 +224,37 @@ class Hub:
         self._links = [link for link in self._links if not link.closed]
 
     def close(self) -> None:
-        """Close all connections and remove the socket's file, unless another process has replaced the file."""
+        """Close all connections.
+
+        Remove the file of the socket, unless another process has replaced the file.
+        """
         for link in self._links:
             link.socket.close()
         self._links.clear()
         self._listener.close()
         with contextlib.suppress(FileNotFoundError):
-            # A different inode means that another hub has taken over the name.
+            # If the file has another inode, another hub now serves the name of this bus.
             if self._path.stat().st_ino == self._inode:
                 self._path.unlink()
 
 
 def _is_foreign(link: socket.socket) -> bool:
-    """Check whether the peer runs as a user other than this one or root. Only Linux reports the user."""
+    """Check whether the peer runs as a third user, neither this process's user nor root.
+
+    Only Linux tells the user.
+    """
     if not sys.platform.startswith("linux"):
         return False
     raw = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size)
-    # Field 1 is the user. Root may join for diagnosis.
+    # Field 1 of the credentials is the user. Root may join the bus for diagnosis.
     return _PEER_CREDENTIALS.unpack(raw)[1] not in (0, os.geteuid())
 
 
 def _listen(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # Check, unlink and bind must not interleave with these calls of another hub. Therefore the
-        # directory is locked.
+        # The directory is locked, because two hubs must not check, unlink and bind the same path at
+        # the same time.
         with _locked(path.parent):
             if _is_served(path):
                 raise SimulatorError(
@@ -256,7 +275,10 @@ def _listen(path: Path, name: str) -> socket.socket:
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Lock a directory, so that two hubs do not both treat the same socket as stale."""
+    """Lock a directory.
+
+    Only the hub with the lock may remove and replace an unused socket there.
+    """
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

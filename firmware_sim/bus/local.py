@@ -31,29 +31,29 @@ class HubPort:
 
     @property
     def lost(self) -> int:
-        """Return the number of frames dropped for slow clients plus records that held no valid frame."""
+        """Return the number of frames dropped for slow clients, plus the number of records without a valid frame."""
         return self._hub.dropped + self._unreadable
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.readers``."""
         return self._hub.readers()
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.writers``."""
         return self._hub.writers()
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.receive``."""
         frames, unreadable = split(self._hub.serve(ready), self._bus)
         self._unreadable += unreadable
         return frames
 
     def send(self, frames: list[Frame]) -> None:
-        """See ``ports.Port``."""
+        """See ``ports.Port.send``."""
         self._hub.send(b"".join(map(pack_record, frames)))
 
     def close(self) -> None:
-        """See ``ports.Port``."""
+        """See ``ports.Port.close``."""
         self._hub.close()
 
 
@@ -85,19 +85,19 @@ class JoinedPort:
 
     @property
     def lost(self) -> int:
-        """Return the number of frames that the hub did not accept plus records that held no valid frame."""
+        """Return the number of frames that the hub did not accept, plus the number of records without a valid frame."""
         return self._link.dropped + self._unreadable
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.readers``."""
         return [self._link.socket]
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.writers``."""
         return [self._link.socket] if self._link.unsent else []
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """See ``ports.Port``.
+        """See ``ports.Port.receive``.
 
         Raises:
             SimulatorError: the hub has closed the connection.
@@ -111,11 +111,11 @@ class JoinedPort:
         return frames
 
     def send(self, frames: list[Frame]) -> None:
-        """See ``ports.Port``."""
+        """See ``ports.Port.send``."""
         self._link.deliver(b"".join(map(pack_record, frames)))
 
     def close(self) -> None:
-        """See ``ports.Port``."""
+        """See ``ports.Port.close``."""
         self._link.socket.close()
 
 
@@ -124,7 +124,7 @@ def split(records: bytes, bus: int) -> tuple[list[Frame], int]:
 
     Args:
         records: whole records, one after the other.
-        bus: index of the bus for the frames.
+        bus: index of the bus to set in the returned frames.
 
     Returns:
         The frames, and the number of records that held no valid frame.

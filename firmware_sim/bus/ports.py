@@ -1,4 +1,7 @@
-"""Ports: the connections of the simulator to its buses, one for each bus, independent of the bus type."""
+"""Ports: connections of the simulator to its buses.
+
+Each bus has a port, and ports of all bus types work alike.
+"""
 
 import socket
 from collections.abc import Callable, Collection
@@ -11,7 +14,10 @@ from firmware_sim.bus.socketcan import SocketCanPort
 from firmware_sim.description import SimulatorError
 
 VIRTUAL_INTERFACES = Path("/sys/devices/virtual/net")
-"""Folder of the network interfaces without hardware, such as vcan0. Source: Linux sysfs."""
+"""Folder in which Linux lists the network interfaces without hardware, such as vcan0.
+
+Source: Linux sysfs.
+"""
 
 
 class Port(Protocol):
@@ -44,12 +50,15 @@ class Port(Protocol):
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
         """Receive frames from the sockets that are ready.
 
-        The caller repeats the call until there is no frame.
+        The caller repeats the call until no frame is returned.
         """
         ...
 
     def send(self, frames: list[Frame]) -> None:
-        """Send frames in the given order. Frames that do not fit are lost and counted."""
+        """Send frames in the given order.
+
+        Frames for which the bus has no room are lost and counted.
+        """
         ...
 
     def close(self) -> None:
@@ -61,14 +70,14 @@ def open_port(spec: str, bus: int, timed_port: Callable[[str, int], Port] | None
     """Open the port of one bus.
 
     Args:
-        spec: ``local:NAME`` (serve the bus), ``join:NAME`` (another process serves the bus),
-            ``socketcan:INTERFACE``.
+        spec: ``local:NAME`` (this process serves the bus), ``join:NAME`` (another process serves
+            the bus) or ``socketcan:INTERFACE``.
         bus: index of the bus in the hand's list.
-        timed_port: factory for the port of a local bus whose frames take time on the wire, None for
-            instant frames.
+        timed_port: function that opens the port of a local bus with simulated wire times. If it is
+            None, frames take no time.
 
     Raises:
-        SimulatorError: the kind of bus is unknown, or the bus cannot be opened.
+        SimulatorError: the type of the bus is unknown, or the bus cannot be opened.
     """
     kind, _, name = spec.partition(":")
     if timed_port and kind != "local":
@@ -85,7 +94,7 @@ def open_port(spec: str, bus: int, timed_port: Callable[[str, int], Port] | None
 def is_on_this_machine(spec: str) -> bool:
     """Return True if all frames of a bus stay on this machine.
 
-    A pause of the clock then delays no frame.
+    On such a bus the clock may pause, because no frame comes from another machine or goes to one.
     """
     kind, _, name = spec.partition(":")
     return kind == "local" or (kind == "socketcan" and (VIRTUAL_INTERFACES / name).exists())
@@ -95,7 +104,7 @@ def assign(specs: list[str], buses: list[str]) -> list[str]:
     """Assign a bus specification to each bus of a hand.
 
     Args:
-        specs: ``BUS=SPEC``, or ``SPEC`` for a hand with one bus.
+        specs: one ``BUS=SPEC`` for each bus, or only ``SPEC`` for a hand with one bus.
         buses: names of the hand's buses.
 
     Returns:

@@ -1,4 +1,6 @@
-"""Frames as records of 80 bytes in a numpy array, which compiled code reads and writes without Python objects.
+"""Frames as records of 80 bytes in a numpy array.
+
+Compiled code reads and writes the array without Python objects.
 
 Record (little-endian):
 
@@ -21,7 +23,10 @@ from firmware_sim.bus.frame import Frame
 RECORD = np.dtype(
     [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (64,))]
 )
-"""Fields of ``Frame``. The payload is padded with zeros to 64 bytes, ``length`` excludes the padding."""
+"""Dtype with the fields of ``Frame``.
+
+The payload is padded with zeros to 64 bytes. ``length`` excludes the padding.
+"""
 _STRUCT = struct.Struct("<qIHBB64s")
 
 
@@ -36,7 +41,8 @@ def to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
     """
     pack = _STRUCT.pack
     packed = [pack(t_ns, can_id, flags, bus, len(data), data) for can_id, data, flags, bus, t_ns in frames]
-    # A bytearray, because an array over bytes would be read-only and kernels write into it.
+    # The buffer is a bytearray, because kernels write into the array. An array over bytes would be
+    # read-only.
     return np.frombuffer(bytearray(b"".join(packed)), RECORD)
 
 

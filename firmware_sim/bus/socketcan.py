@@ -1,4 +1,7 @@
-"""A port on a Linux CAN interface, real or virtual, classical or FD."""
+"""A port on a Linux CAN interface.
+
+The interface may be real or virtual, with classical CAN or CAN FD.
+"""
 
 import errno
 import socket
@@ -14,7 +17,10 @@ _CLASSICAL = struct.Struct("=IB3x8s")
 _FD = struct.Struct("=IBB2x64s")
 """``struct canfd_frame``: identifier, length, flags, 2 reserved bytes, 64 bytes of payload. Source: Linux ``can.h``."""
 _MAX_READ = 256
-"""Maximum frames of one read. The limit keeps a flooded bus from stopping the plant."""
+"""Maximum number of frames of one read.
+
+The limit keeps a flooded bus from stopping the simulation.
+"""
 
 
 class SocketCanPort:
@@ -30,7 +36,7 @@ class SocketCanPort:
             bus: index of the bus in the hand's list.
 
         Raises:
-            SimulatorError: the system or kernel has no SocketCAN, or the interface does not exist.
+            SimulatorError: the operating system has no SocketCAN, or the interface does not exist.
         """
         self._bus = bus
         self.lost = 0
@@ -50,15 +56,15 @@ class SocketCanPort:
         self._socket.setblocking(False)
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.readers``."""
         return [self._socket]
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.writers``."""
         return []
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.receive``."""
         frames: list[Frame] = []
         if self._socket not in ready:
             return frames
@@ -70,11 +76,12 @@ class SocketCanPort:
         except OSError as error:
             if error.errno != errno.ENETDOWN:
                 raise
-            self.lost += 1  # The interface is down. Reads work again when it is up.
+            self.lost += 1  # The interface is down. Reads succeed again once it is up.
         return frames
 
     def _frame(self, raw: bytes) -> Frame:
-        # The read size distinguishes the formats: 16 bytes classical, 72 bytes FD.
+        # The number of bytes read tells the format of the frame: 16 bytes for classical CAN, 72
+        # bytes for CAN FD.
         if len(raw) == _CLASSICAL.size:
             can_id, length, data = _CLASSICAL.unpack(raw)
             return Frame(can_id, data[: min(length, 8)], 0, self._bus)
@@ -82,7 +89,7 @@ class SocketCanPort:
         return Frame(can_id, data[:length], flags | FDF, self._bus)
 
     def send(self, frames: list[Frame]) -> None:
-        """See ``ports.Port``."""
+        """See ``ports.Port.send``."""
         for frame in frames:
             fd = frame.flags & FDF
             raw = (
@@ -92,9 +99,9 @@ class SocketCanPort:
             )
             try:
                 self._socket.send(raw)
-            except OSError:  # The queue is full (ENOBUFS), or the interface is down or has no FD. The frame is lost.
+            except OSError:  # Lost: the queue is full (ENOBUFS), or the interface is down or lacks CAN FD.
                 self.lost += 1
 
     def close(self) -> None:
-        """See ``ports.Port``."""
+        """See ``ports.Port.close``."""
         self._socket.close()

@@ -1,4 +1,4 @@
-"""One tick in lockstep with wire timing: frames of host and nodes take their time on simulated wires."""
+"""One tick in lockstep with wire timing: each frame of the host and of the nodes occupies a simulated wire."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
@@ -11,19 +11,19 @@ from firmware_sim.world import World
 
 
 class TimedLockstep:
-    """The buses of a hand as wires between host and nodes, in virtual time.
+    """The buses of a hand as simulated wires between the host and the nodes, in virtual time.
 
     Attributes:
         wires: one wire for each bus.
-        refused: frames refused by a full queue of a node.
+        refused: number of frames that a full queue of a node refused.
     """
 
     def __init__(self, world: World, spec: WireSpec) -> None:
-        """Connect host and nodes to each wire.
+        """Connect the host and the nodes to each wire.
 
         Args:
             world: the simulated hand.
-            spec: behaviour of the wires.
+            spec: behaviour of the simulated wires.
         """
         self._world = world
         self.wires = [Wire(spec.rate(*bitrates), spec.options) for bitrates in world.hand.bitrates]
@@ -54,7 +54,7 @@ class TimedLockstep:
         return receive
 
     def step(self, t_ns: int, frames: Iterable[Frame], end_ns: int) -> list[Frame]:
-        """Queue the host's frames and process all events before the end of the tick.
+        """Queue the host's frames for sending, and process all events before the end of the tick.
 
         Args:
             t_ns: start of the tick [ns].
@@ -69,15 +69,16 @@ class TimedLockstep:
         while True:
             at_ns = min([wire.next_ns() for wire in self.wires])
             self._world.advance(min(at_ns, end_ns))
-            # New frames of nodes may be sent before at_ns, so the wires are asked again.
+            # Nodes may just have sent frames earlier than at_ns, so each wire must tell its next
+            # event again.
             if self._queue_all(self._world.take_unsolicited()):
                 continue
             if at_ns >= end_ns:
                 break
             for wire in self.wires:
                 wire.advance(at_ns)
-            # An answer samples the plant, so the plant must be at the end of the request on the
-            # wire.
+            # An answer samples the plant. Therefore the plant first advances to the time at which
+            # the request ends on the wire.
             if any(map(self._world.has_receiver, self._received)):
                 self._world.reach(at_ns)
             self._answer()
@@ -94,7 +95,7 @@ class TimedLockstep:
                 self._queue(Frame(can_id, data, flags, bus, frame.t_ns))
 
     def _queue_all(self, frames: Sequence[Frame]) -> bool:
-        """Queue frames of nodes.
+        """Queue frames of nodes for sending.
 
         Returns:
             True if there was at least one frame.
@@ -104,7 +105,10 @@ class TimedLockstep:
         return bool(frames)
 
     def _queue(self, frame: Frame) -> None:
-        """Queue a frame of a node. Each identifier has a controller, because real nodes send independently."""
+        """Queue a frame of a node.
+
+        Each identifier has a CAN controller, because real nodes send independently.
+        """
         key = frame.bus, frame.can_id
         if key not in self._nodes:
             self._nodes[key] = self.wires[frame.bus].add()

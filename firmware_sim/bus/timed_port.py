@@ -1,4 +1,7 @@
-"""A port that serves a local bus with wire timing: every client and every node has a CAN controller."""
+"""A port that serves a local bus with wire timing.
+
+Every client and every identifier of a node has a CAN controller.
+"""
 
 import socket
 import struct
@@ -16,19 +19,23 @@ from firmware_sim.wire.medium import Wire, WireOptions
 from firmware_sim.wire.options import parse
 
 DEFAULT_BITRATES = (1_000_000, 5_000_000)
-"""Bit rates of a bus without a hand: nominal and data phase [bit/s]."""
+"""Bit rates of a bus that belongs to no hand: nominal and data phase [bit/s]."""
 QUEUE_REPORT = EXTENDED | REMOTE | ERROR
-"""Identifier of a record that reports a client's queue level. No frame can have this combination of flags."""
+"""Identifier of a record with the level of a client's queue.
+
+No CAN frame has this combination of flags.
+"""
 _QUEUE = struct.Struct("<II")
-"""Payload of a queue report: frames that have left the queue modulo 2**32, capacity of the queue in frames."""
+"""Payload of a queue report: number of frames that have left the queue modulo 2**32, and queue capacity [frames]."""
 
 
 class TimedPort:
     """A port on a simulated wire. See ``ports.Port``.
 
-    Events between two calls are processed in the order of the wire. ``receive`` returns the frames
-    of one instant, so that answers are on the wire before the next frame. The caller repeats the
-    call until there is no frame. The nodes have one controller for each identifier they send.
+    Events since the last call are processed in the order in which they occur on the wire.
+    ``receive`` returns only frames that ended at the same time, because the nodes must answer
+    before the next frame. The caller repeats the call until no frame is returned. The nodes have a
+    CAN controller for each identifier that they send.
 
     Attributes:
         wire: the simulated wire.
@@ -53,7 +60,8 @@ class TimedPort:
             options: behaviour of the wire.
             now_ns: clock of the wire [ns].
             nodes: True if nodes in this process acknowledge frames.
-            latency: latency of the adapter of a client, by the number of the client. None for no latency.
+            latency: function that returns the latency of a client's CAN adapter, by the number of
+                the client. None for no latency.
 
         Raises:
             SimulatorError: the bus is already served.
@@ -61,7 +69,7 @@ class TimedPort:
         self._latency = latency or no_latency
         self._latencies: dict[HubConnection, Latency] = {}
         self._late: list[tuple[int, int, HubConnection, bytes]] = []
-        """Records on their way through an adapter: time at the client [ns], serial number, client, record."""
+        """Records delayed by a client's adapter: time of delivery to the client [ns], serial number, client, record."""
         self._delayed = 0
         self._hub = Hub(name)
         self.wire = Wire(rate, options)
@@ -69,7 +77,7 @@ class TimedPort:
         self._now_ns = now_ns
         self._clients: dict[HubConnection, CanController] = {}
         self._queues: dict[HubConnection, tuple[int, int]] = {}
-        """Records received from each client, and records that had left its queue at the last report (-1: none)."""
+        """By client: records received, and records that had left the queue at the last report (-1: no report)."""
         self._nodes: dict[int, CanController] = {}
         self._received: deque[Frame] = deque()
         self._unreadable = self._refused = 0
@@ -79,7 +87,7 @@ class TimedPort:
 
     @property
     def lost(self) -> int:
-        """Return the number of lost frames.
+        """Return the number of frames lost on this bus.
 
         The sum counts frames dropped for slow clients, frames refused by a full queue of a node,
         and invalid records.
@@ -88,24 +96,27 @@ class TimedPort:
 
     @property
     def due_ns(self) -> int:
-        """See ``ports.Port``."""
+        """See ``ports.Port.due_ns``."""
         return min(self.wire.next_ns(), self._late[0][0]) if self._late else self.wire.next_ns()
 
     @property
     def load(self) -> float:
-        """Return the fraction of time in which the wire was occupied since the port was opened."""
+        """Return the fraction of the time since the port was opened in which frames occupied the wire."""
         return self.wire.load(0, max(1, self._now_ns() - self._start_ns))
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.readers``."""
         return self._hub.readers()
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.Port``."""
+        """See ``ports.Port.writers``."""
         return self._hub.writers()
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """Receive the frames that ended next on the wire, if any ended by now. See ``ports.Port``."""
+        """Receive the frames that were the next to end on the wire, if any have ended by now.
+
+        See ``ports.Port``.
+        """
         now_ns = self._now_ns()
         if ready:
             self._read_clients(ready, now_ns)
@@ -121,7 +132,10 @@ class TimedPort:
         return frames
 
     def _report_queues(self) -> None:
-        """Send each client the level of its queue, so that sending into a full queue fails at once in the client."""
+        """Send each client the level of the client's queue.
+
+        Sending into a full queue can then fail in the client at once.
+        """
         for link, controller in self._clients.items():
             arrived, reported = self._queues[link]
             left = arrived - len(controller.queue)
@@ -131,7 +145,7 @@ class TimedPort:
                 self._queues[link] = arrived, left if link.dropped == dropped else -1
 
     def _read_clients(self, ready: Collection[socket.socket], now_ns: int) -> None:
-        """Queue the frames of the clients at the present time.
+        """Read frames from the clients and queue them for sending at the present time.
 
         Args:
             ready: sockets that are ready for reading.
@@ -160,7 +174,7 @@ class TimedPort:
         self._hub.drop_closed()
 
     def _deliver(self, link: HubConnection) -> Callable[[Frame, int], None]:
-        """Return the function that passes received frames to a client, through its adapter."""
+        """Return the function that passes frames from the wire to a client, with the delay of the client's adapter."""
 
         def deliver(frame: Frame, t_ns: int) -> None:
             at_ns = self._latencies[link].receive(t_ns)
@@ -173,14 +187,14 @@ class TimedPort:
         return deliver
 
     def _receive_on_nodes(self, frame: Frame, t_ns: int) -> None:
-        """Store a frame for the nodes, unless the frame is an error frame."""
+        """Store a frame that the nodes have received from the wire. Error frames are ignored."""
         if not frame.can_id & ERROR:
             self._received.append(frame)
 
     def send(self, frames: list[Frame]) -> None:
-        """Send answers of the nodes.
+        """Send the answers of the nodes.
 
-        An answer may start when the latest received frame ends. See ``ports.Port``.
+        An answer may start at the time at which the last received frame ended. See ``ports.Port``.
         """
         for frame in frames:
             controller = self._nodes.get(frame.can_id)
@@ -189,14 +203,14 @@ class TimedPort:
             self._refused += not controller.offer(frame, self._at_ns)
 
     def close(self) -> None:
-        """See ``ports.Port``."""
+        """See ``ports.Port.close``."""
         self._hub.close()
 
 
 def timed_port_maker(
     words: Sequence[str] | None, bitrates: Sequence[tuple[int, int]], now_ns: Callable[[], int], nodes: bool = True
 ) -> Callable[[str, int], TimedPort] | None:
-    """Build a factory for the ports of a hand's buses with simulated wires.
+    """Build the function that opens the ports of a hand's buses with simulated wires.
 
     Args:
         words: KEY=VALUE words of ``--wire``, None if the option was not given.
@@ -205,10 +219,11 @@ def timed_port_maker(
         nodes: True if nodes in this process acknowledge frames.
 
     Returns:
-        Function of bus name and bus index that opens a port, or None without ``--wire``.
+        Function of bus name and bus index that opens the port of a bus. None if ``--wire`` was not
+        given.
 
     Raises:
-        SimulatorError: a word is not valid.
+        SimulatorError: a word of ``--wire`` is not valid.
     """
     if words is None:
         return None
@@ -217,5 +232,5 @@ def timed_port_maker(
 
 
 def no_latency(number: int) -> Latency:
-    """Return the latency of a client on the wire itself."""
+    """Return no latency, for a client that is on the wire without an adapter."""
     return Latency(NONE)

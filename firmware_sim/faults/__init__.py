@@ -1,1 +1,1 @@
-"""Faults of a simulated hand: their text form, faults of the plant, and faults of the wire."""
+"""Faults that a user injects into a simulated hand: their text form, and their effects on the plant and on frames."""

@@ -1,4 +1,4 @@
-"""The faults of one simulated hand: waiting, acting and past, with the counted effects of each."""
+"""The faults of a simulated hand, whether waiting, acting or over, each with a count of effects."""
 
 import random
 from typing import Any
@@ -9,30 +9,32 @@ from firmware_sim.faults.text import BUS, DIGIT, FOREVER_NS, KINDS, NODE, SENSOR
 from firmware_sim.faults.wire_faults import ActiveFault
 
 GENERATION_PERIOD_NS = 1_000_000
-"""Period of generated frames [ns]."""
+"""Period of the frames that a flood or an unknown identifier generates [ns]."""
 SECOND_HOST_PERIOD_NS = 10_000_000
-"""Period of the commands of a second host [ns]."""
+"""Period at which a simulated second host sends commands [ns]."""
 FLOOD_ID = 0x000
-"""Identifier of a flood: the highest priority."""
+"""Identifier of the frames of a flood: the one with the highest priority."""
 UNKNOWN_ID = 0x7E5
 """Identifier that belongs to no node."""
 GENERATING_KINDS = ("flood", "unknown", "foreign")
-"""Kinds of fault that generate frames periodically."""
+"""Kinds of fault that send frames of their own periodically."""
 
 
 class Faults:
-    """Faults of a world, on the clock of the world. The effects are deterministic in lockstep and in real time.
+    """The faults of a simulated world, timed by its clock.
+
+    Their effects are deterministic, in lockstep and in real time.
 
     Attributes:
-        on: True if a fault waits or acts.
-        wire_faults_of: acting faults on the wire of a node, by the node's ``id()``.
-        injected: all faults so far, in the order of injection.
-        in_frames: True if a fault acts on the wire, in a node or in a sensor, and frames may differ
-            because of the fault.
+        on: True once a fault has been injected.
+        wire_faults_of: faults that act on the frames of a node, by the ``id()`` of the node.
+        injected: all faults injected so far, in the order of injection.
+        in_frames: True if a fault acts on frames, in a node or in a sensor, and may therefore
+            change frames.
     """
 
     def __init__(self, world: Any) -> None:
-        """Set up without any fault.
+        """Create the collection without any fault.
 
         Args:
             world: world in which the faults act.
@@ -48,16 +50,16 @@ class Faults:
 
     @property
     def t_ns(self) -> int:
-        """Return the time of the truth file [ns]: the world's time plus the time lost by slips."""
+        """Return the present time as in the truth file [ns]: the world's time plus the time lost by slips."""
         return int(self._world.t_ns + self._world.slip_ns)
 
     @property
     def slip_ns(self) -> int:
-        """Return the time lost by slips, because this process did not run [ns]."""
+        """Return the time lost by slips while this process did not run [ns]."""
         return int(self._world.slip_ns)
 
     def inject(self, text: str) -> Fault:
-        """Start a fault, now or later.
+        """Start a fault now, or at the later time in the text.
 
         Args:
             text: fault as text, see ``parse_fault``.
@@ -66,7 +68,7 @@ class Faults:
             The fault.
 
         Raises:
-            SimulatorError: this hand cannot have the fault.
+            SimulatorError: this hand cannot have the fault in the text.
         """
         fault = parse_fault(text, self._world.hand, self._world.t_ns)
         active = ActiveFault(fault, random.Random(f"fault {fault.seed} {fault.text}"))
@@ -77,7 +79,7 @@ class Faults:
         return fault
 
     def kinds(self) -> list[dict[str, object]]:
-        """List each kind of fault with its possible instances in this hand, its default size and its effect."""
+        """List each kind of fault with the possible targets in this hand, the default size and the effect."""
         hand = self._world.hand
         return [
             {
@@ -90,7 +92,7 @@ class Faults:
         ]
 
     def states(self) -> list[dict[str, object]]:
-        """List each fault so far with its state and the number of its effects."""
+        """List each fault injected so far, with state and number of effects."""
         acting = [active for active, _ in self._acting]
         return [
             {
@@ -104,13 +106,13 @@ class Faults:
         ]
 
     def advance(self, t_ns: int) -> list[Frame]:
-        """Start and end the faults that are due.
+        """Start the faults whose start is due, and end those whose end is due.
 
         Args:
             t_ns: present time [ns].
 
         Returns:
-            Frames that the faults send.
+            Frames that the faults send or have delayed.
         """
         for active in [active for active in self._waiting if active.fault.start_ns <= t_ns]:
             self._waiting.remove(active)
@@ -122,8 +124,8 @@ class Faults:
             self._index()
         frames = [frame for bus, active in self._all_wire for frame in wire_faults.due([active], t_ns)]
         if not self._turn_ns or (t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0):
-            # Generated frames are sent at the ends of whole steps. A fault can start within a step,
-            # so the completed part of the step is subtracted.
+            # Generated frames are sent at the ends of whole steps of the plant. A fault can start
+            # within a step, so the completed part of this step is subtracted.
             self._turn_ns = t_ns - self._world.plant.part_ns + GENERATION_PERIOD_NS
             frames += self._generated(t_ns)
         return frames
@@ -138,7 +140,7 @@ class Faults:
         return min(due, default=FOREVER_NS)
 
     def _index(self) -> None:
-        """Update the index of faults by node. A node that was reset may have another identifier."""
+        """Update the index of faults by node. A node may have another identifier after a reset."""
         self._world.refresh_identifiers()
         self.wire_faults_of = {}
         self._all_wire = []
@@ -151,7 +153,7 @@ class Faults:
                 self._all_wire.append((bus, active))
 
     def _nodes_of(self, fault: Fault) -> list[tuple[Any, int]]:
-        """List the nodes on which a fault acts, each with the index of its bus."""
+        """List the target nodes of a fault, each with the index of the node's bus."""
         world = self._world
         if fault.component == BUS:
             bus = world.hand.buses.index(fault.instance)
@@ -160,15 +162,16 @@ class Faults:
         return [(node, next(bus for bus, on_bus in enumerate(world.nodes) if node in on_bus)) for node in nodes]
 
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Return the answers of a node to a frame, with the faults of request and answer.
+        """Return the answers of a node to a frame, after faults have acted on the request and on the answers.
 
         Args:
             node: the node.
-            frame: request.
+            frame: request to the node.
             t_ns: present time [ns].
 
         Returns:
-            The answers that arrive, None if the node does not handle or does not receive the frame.
+            The answers that reach the host. None if the node does not receive or does not handle
+            the frame.
         """
         actives = self.wire_faults_of.get(id(node))
         if not actives:
@@ -183,12 +186,12 @@ class Faults:
         return wire_faults.transmit(actives, stamped, t_ns)
 
     def unsolicited(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
-        """Apply wire faults to unsolicited frames of a node."""
+        """Apply faults of the wire to unsolicited frames of a node."""
         actives = self.wire_faults_of.get(id(node))
         return wire_faults.transmit(actives, frames, t_ns) if actives else frames
 
     def _generated(self, t_ns: int) -> list[Frame]:
-        """Generate the frames of floods, unknown identifiers and second hosts."""
+        """Generate the frames of the acting faults: floods, unknown identifiers and commands of a second host."""
         frames = []
         for active, _ in self._acting:
             fault = active.fault

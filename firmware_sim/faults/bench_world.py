@@ -1,4 +1,7 @@
-"""Drives on a bench in the form in which faults act on a hand: each drive is a motor of a hand without digits."""
+"""A bench of drives in the form of a hand, as a target of faults.
+
+Each drive is a motor of a hand without digits.
+"""
 
 from collections.abc import Sequence
 from typing import Any, Protocol
@@ -10,17 +13,17 @@ from firmware_sim.nodes import PROTOCOLS
 from firmware_sim.plant.motor import Motor
 
 BUS = "bench"
-"""Name of the bus."""
+"""Name of the only bus of a bench."""
 
 
 class BenchInterface(Protocol):
-    """The part of a bench that faults use.
+    """The attributes and methods of a bench of drives that faults use.
 
     Attributes:
-        motors: rotors in the order of the specs.
-        nodes: nodes in the order of the specs.
+        motors: rotors in the order of the drive descriptions.
+        nodes: nodes in the order of the drive descriptions.
         slip_ns: time lost by slips [ns].
-        part_ns: completed part of a divided step [ns].
+        part_ns: completed part of the step in progress [ns].
     """
 
     motors: list[Motor]
@@ -30,54 +33,54 @@ class BenchInterface(Protocol):
 
     @property
     def t_ns(self) -> int:
-        """Return the clock of the drives [ns]."""
+        """Return the present time on the clock of the drives [ns]."""
         ...
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames of foreign senders on the bus."""
+        """Queue frames of senders outside the bench for the bus."""
         ...
 
 
 class BenchPlant:
-    """Rotors of a bench by name, with the bench's clock.
+    """The rotors of a bench by name, with the clock of the bench.
 
     Attributes:
         motors: rotors by the names of their drives.
-        tendons: none.
+        tendons: empty, because a bench has no tendons.
     """
 
     tendons: Sequence[Any] = ()
 
     def __init__(self, bench: BenchInterface, specs: Sequence[MotorSpec]) -> None:
-        """Name the rotors of a bench."""
+        """Give each rotor of a bench the name of its drive."""
         self._bench = bench
         self.motors = {spec.name: motor for spec, motor in zip(specs, bench.motors, strict=True)}
 
     @property
     def t_ns(self) -> int:
-        """Return the clock of the rotors [ns]."""
+        """Return the present time on the clock of the rotors [ns]."""
         return self._bench.t_ns
 
     @property
     def part_ns(self) -> int:
-        """Return the completed part of a divided step [ns]."""
+        """Return the completed part of the step in progress [ns]."""
         return self._bench.part_ns
 
 
 class BenchWorld:
-    """World of the faults of a bench, see ``active.Faults``.
+    """A bench in the form of a world for ``active.Faults``.
 
     Attributes:
-        hand: the drives as motors of a hand.
-        plant: rotors.
-        nodes: nodes of the only bus.
-        sensor_node: none.
+        hand: description of a hand with the drives as its motors.
+        plant: rotors of the drives.
+        nodes: one list, with the nodes of the only bus.
+        sensor_node: None, because a bench has no sensor node.
     """
 
     sensor_node = None
 
     def __init__(self, bench: BenchInterface, specs: Sequence[MotorSpec]) -> None:
-        """Describe a bench as a hand."""
+        """Describe the drives of a bench as the motors of a hand."""
         self._bench = bench
         motors = list(specs)
         self.hand = Hand("bench", (0.0, 0.0, 0.0), [BUS], [(0, 0)], [], [], motors, None)
@@ -87,7 +90,7 @@ class BenchWorld:
 
     @property
     def t_ns(self) -> int:
-        """Return the clock of the drives [ns]."""
+        """Return the present time on the clock of the drives [ns]."""
         return self._bench.t_ns
 
     @property
@@ -96,22 +99,22 @@ class BenchWorld:
         return self._bench.slip_ns
 
     def node_of(self, name: str) -> Any:
-        """Return the node of a drive, without its deliberate fault."""
+        """Return the node of a drive, without the wrapper for a deliberate fault."""
         node = self._nodes[name]
         return node.node if isinstance(node, FaultyDrive) else node
 
     def motor_spec(self, name: str) -> MotorSpec:
-        """Return the description of a drive."""
+        """Return the description of a drive by the name of the drive."""
         return next(motor for motor in self.hand.motors if motor.name == name)
 
     def host_frame(self, name: str) -> Frame:
-        """Return a frame that only the host of a drive sends and that has no effect."""
+        """Return a frame without effect, sent only by the host of a drive."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOLS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, 0, self.t_ns)
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames of foreign senders on the bus."""
+        """Queue frames of senders outside the bench for the bus."""
         self._bench.queue_frames(frames)
 
     def refresh_identifiers(self) -> None:

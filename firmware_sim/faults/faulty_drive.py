@@ -1,4 +1,4 @@
-"""Drives with deliberate faults, for tests of the programs that must find faulty drives."""
+"""Simulated drives with deliberate faults, to test programs that must find faulty drives."""
 
 from dataclasses import replace
 
@@ -18,23 +18,23 @@ FAULTS = {
 }
 """Effect of each kind of fault."""
 TWIN_SERIAL = 0x7714_0000
-"""Serial number of the second drive with node number 0."""
+"""Serial number of a second drive with node number 0. Other nodes add their node number."""
 
 
 class FaultyDrive:
-    """A drive node with a fault. See ``nodes.Node``.
+    """A drive node with a deliberate fault. See ``nodes.Node``.
 
     Attributes:
         node: the node without the fault.
     """
 
     def __init__(self, node: DriveNode, fault: str, spec: ProtocolSpec) -> None:
-        """Wrap a node.
+        """Wrap a drive node that has no fault.
 
         Args:
-            node: the node.
+            node: drive node without the fault.
             fault: key of ``FAULTS``.
-            spec: protocol of the node, with the variants of its frames.
+            spec: protocol of the node, with the functions for corrupting frames.
         """
         self.node = node
         self._fault = fault
@@ -42,21 +42,21 @@ class FaultyDrive:
 
     @property
     def wake_ns(self) -> int:
-        """See ``nodes.Node``."""
+        """See ``nodes.Node.wake_ns``."""
         return self.node.wake_ns
 
     @property
     def ids(self) -> frozenset[int] | None:
-        """See ``nodes.Node``."""
+        """See ``nodes.Node.ids``."""
         return self.node.ids
 
     @property
     def malformed(self) -> int:
-        """See ``nodes.Node``."""
+        """See ``nodes.Node.malformed``."""
         return self.node.malformed
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """See ``nodes.Node``."""
+        """See ``nodes.Node.receive``."""
         self._feed(t_ns)
         answers = self.node.receive(self._spec.corrupt_command(frame) if self._fault == "deaf" else frame, t_ns)
         if self._fault == "eager" and self._spec.force_command:
@@ -68,31 +68,31 @@ class FaultyDrive:
         return answers
 
     def wake(self, t_ns: int) -> list[Frame] | None:
-        """See ``nodes.Node``."""
+        """See ``nodes.Node.wake``."""
         self._feed(t_ns)
         unsolicited = self.node.wake(t_ns)
         return None if self._fault == "mute" else unsolicited
 
     def _feed(self, t_ns: int) -> None:
         if self._fault == "watchdog" and self.node.watchdog_fed_ns >= 0:
-            # Every event feeds the watchdog, so that it never fires.
+            # Every call feeds the watchdog, so that the watchdog never fires.
             self.node.watchdog_fed_ns = t_ns
 
 
 def with_fault(node: DriveNode, protocol: str, fault: str) -> Node:
-    """Return a node with a fault, or the node itself without a fault.
+    """Return a drive node with a deliberate fault, or the node itself if no fault is asked for.
 
     Args:
-        node: the node.
+        node: drive node without a fault.
         protocol: key of ``PROTOCOLS``.
-        fault: key of ``FAULTS``, empty for none. ``sign`` and ``twin`` are faults of motors and of their
-            numbers, which the caller sets (``with_faulty_specs``).
+        fault: key of ``FAULTS``, empty for no fault. ``sign`` and ``twin`` do not change the node:
+            the caller applies them with ``with_faulty_specs``.
     """
     return node if fault in ("", "sign", "twin") else FaultyDrive(node, fault, PROTOCOLS[protocol])
 
 
 def with_faulty_specs(specs: list[MotorSpec], fault: str) -> list[MotorSpec]:
-    """Return the descriptions of drives with a fault of motor or number: ``sign`` or ``twin``."""
+    """Return the descriptions of drives, changed for the fault ``sign`` or ``twin``."""
     if fault == "sign":
         return [replace(spec, torque_gain=-1.0) for spec in specs]
     if fault == "twin":

@@ -1,4 +1,7 @@
-"""Faults of sensors, motors, tendons and digits. Each fault changes the plant and restores it at its end."""
+"""Faults of sensors, motors, tendons and digits.
+
+The functions here start a change of the simulation, and return the function that ends the change.
+"""
 
 import math
 import random
@@ -28,18 +31,18 @@ ERROR_CODES = {
     "watchdog": (FeedbackState.COMMUNICATION_LOST, 1 << 24, 0x8130, moteus.TIMEOUT, 0),
     "voltage": (0x9, 1 << 9, 0x3220, moteus.UNDER_VOLTAGE, robstride.UNDER_VOLTAGE),
 }
-"""Error code of each kind of fault for MIT, ODrive, CiA 402, moteus and RobStride."""
+"""Error codes that each kind of fault sets in a drive: for MIT, ODrive, CiA 402, moteus and RobStride."""
 
 
 def start(world: Any, active: ActiveFault) -> Undo:
-    """Start a fault.
+    """Start the effect of a fault.
 
     Args:
         world: world in which the fault acts.
         active: the fault.
 
     Returns:
-        Function that ends the fault.
+        Function that ends the effect of the fault.
     """
     kind = active.fault.kind
     if kind in ("stuck", "offset", "drift", "noise", "saturate", "scale", "old"):
@@ -67,11 +70,11 @@ def _reading_change(active: ActiveFault, now: Callable[[], int]) -> Callable[[fl
     """Build the function that changes a reading.
 
     Args:
-        active: the fault.
-        now: returns the present time [ns].
+        active: the fault and the count of its effects.
+        now: function that returns the present time [ns].
 
     Returns:
-        Function of the true reading that returns the changed reading.
+        Function that takes the true reading and returns the changed reading.
     """
     fault = active.fault
     start_ns = now()
@@ -103,9 +106,12 @@ def _reading_change(active: ActiveFault, now: Callable[[], int]) -> Callable[[fl
 
 
 def _delayed_reading(active: ActiveFault, past: list[float], value: float, now_ns: int) -> float:
-    """Return the reading of ``size`` samples ago, or the present reading until so many samples exist."""
+    """Return the reading of ``size`` samples ago.
+
+    Until so many samples exist, return the present reading.
+    """
     past.append(value)
-    # The first reading is in the list twice, because ``_reading_change`` stores it as well.
+    # The list holds the first reading twice, because ``_reading_change`` has also stored it.
     if len(past) <= int(active.fault.size) + 1:
         return value
     active.note_effect(now_ns)
@@ -114,7 +120,7 @@ def _delayed_reading(active: ActiveFault, past: list[float], value: float, now_n
 
 
 def _start_mute(world: Any, active: ActiveFault) -> Undo:
-    """Suppress the sensor node's frame that carries the reading."""
+    """Suppress the frame in which the sensor node sends the reading of the faulty sensor."""
     node = world.sensor_node
     spec = world.hand.sensors
     if active.fault.component == CELL:
@@ -134,7 +140,7 @@ def _start_snap(world: Any, active: ActiveFault) -> Undo:
 
 
 def _start_slack(world: Any, active: ActiveFault) -> Undo:
-    """Lengthen a tendon by ``size`` [mm]."""
+    """Lengthen a tendon by the size of the fault [mm]."""
     tendon = _tendon_of(world, active.fault)
     active.note_effect(world.t_ns)
     tendon.extra_length = active.fault.size * 1e-3
@@ -142,7 +148,7 @@ def _start_slack(world: Any, active: ActiveFault) -> Undo:
 
 
 def _start_friction(world: Any, active: ActiveFault) -> Undo:
-    """Add Coulomb friction to a motor, ``size`` newtons at its tendon."""
+    """Add Coulomb friction to a motor: the size of the fault is the friction force at the tendon [N]."""
     tendon = next(spec for spec in world.hand.every_tendon if spec.name == active.fault.instance)
     motor = world.plant.motors[tendon.motor]
     before = motor.coulomb
@@ -152,7 +158,7 @@ def _start_friction(world: Any, active: ActiveFault) -> Undo:
 
 
 def _tendon_of(world: Any, fault: Fault) -> Any:
-    """Return the tendon of a fault."""
+    """Return the tendon on which a fault acts."""
     names = [spec.name for spec in world.hand.every_tendon]
     return world.plant.tendons[names.index(fault.instance)][0]
 
@@ -168,7 +174,7 @@ def _start_block(world: Any, active: ActiveFault) -> Undo:
 
 
 def _start_trip(world: Any, active: ActiveFault) -> Undo:
-    """Trip a drive with the error code of the kind, or with the code ``size``."""
+    """Trip a drive with the error code of the fault's kind, or with the size of the fault as error code."""
     node = world.node_of(active.fault.instance)
     codes = ERROR_CODES[active.fault.kind]
     size = int(active.fault.size)
@@ -189,7 +195,7 @@ def _start_trip(world: Any, active: ActiveFault) -> Undo:
 
 
 def _start_reset(world: Any, active: ActiveFault) -> Undo:
-    """Reset a drive by power cycle or by its protocol's reset command."""
+    """Reset a drive, either by a power cycle or by the reset command of its protocol."""
     node = world.node_of(active.fault.instance)
     active.note_effect(world.t_ns)
     match node:
@@ -204,9 +210,9 @@ def _start_reset(world: Any, active: ActiveFault) -> Undo:
 
 
 def _start_forget(world: Any, active: ActiveFault) -> Undo:
-    """Reset all settings of a drive that were not saved, with the power stage on.
+    """Lose all unsaved settings of a drive while its power stage stays on.
 
-    The fault simulates a brown-out of the drive's processor only.
+    The fault simulates a voltage dip that resets only the processor of the drive.
     """
     active.note_effect(world.t_ns)
     match node := world.node_of(active.fault.instance):
@@ -231,7 +237,7 @@ def _start_ripple(world: Any, active: ActiveFault) -> Undo:
 
 
 def _start_hot(world: Any, active: ActiveFault) -> Undo:
-    """Hold the winding of a motor at a temperature."""
+    """Hold the winding of a motor at a fixed temperature."""
     thermal = world.node_of(active.fault.instance).thermal
     active.note_effect(world.t_ns)
     thermal.forced = active.fault.size
@@ -240,10 +246,10 @@ def _start_hot(world: Any, active: ActiveFault) -> Undo:
 
 
 class _CrossedMotor:
-    """A drive's motor whose sensors belong to one rotor and whose power stage belongs to another rotor.
+    """The motor of a drive with the sensors of one rotor and the power stage of another rotor.
 
     Attributes:
-        servo: setpoints of the driven rotor. All other attributes belong to the sensed rotor.
+        servo: setpoints of the driven rotor. All other attributes are those of the sensed rotor.
     """
 
     def __init__(self, sensed: Any, driven: Any) -> None:
@@ -257,7 +263,7 @@ class _CrossedMotor:
 
 
 def _start_exchange(world: Any, active: ActiveFault) -> Undo:
-    """Exchange the sensors (swap) or the power stages (cross) of two drives."""
+    """Exchange the sensors (``swap``) or the power stages (``cross``) of two drives."""
     names = active.fault.instance, active.fault.other
     nodes = [world.node_of(name) for name in names]
     motors = [world.plant.motors[name] for name in names]
@@ -276,7 +282,7 @@ def _start_exchange(world: Any, active: ActiveFault) -> Undo:
 
 
 def _start_late(world: Any, active: ActiveFault) -> Undo:
-    """Delay each torque command by ``size`` [ms]."""
+    """Delay each torque command of a drive by the size of the fault [ms]."""
     motor = world.plant.motors[active.fault.instance]
     delay_ns = round(active.fault.size * 1e6)
     waiting: deque[tuple[int, float]] = deque()
@@ -296,7 +302,7 @@ def _start_late(world: Any, active: ActiveFault) -> Undo:
 
 
 def _start_servo(world: Any, active: ActiveFault) -> Undo:
-    """Replace the torque of the power stage. The sensor node has no power stage."""
+    """Replace the torque that a drive's power stage applies. The sensor node has no power stage."""
     if active.fault.instance == SENSORS:
         return lambda: None
     motor = world.plant.motors[active.fault.instance]
@@ -323,4 +329,4 @@ _STARTERS: dict[str, Callable[[Any, ActiveFault], Undo]] = {
     "disobey": _start_servo, "runaway": _start_servo, "hold_on": _start_servo, "off": _start_servo,
     "swap": _start_exchange, "cross": _start_exchange,
 }  # fmt: skip
-"""Function that starts each kind of fault."""
+"""Function that starts the faults of each kind."""

@@ -1,4 +1,7 @@
-"""The fault socket of a running simulator: one datagram for each request, answered to the sender."""
+"""The socket through which a running simulator takes faults.
+
+Each request and each answer is one datagram.
+"""
 
 import json
 import socket
@@ -7,16 +10,16 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.description import SimulatorError
 
-if TYPE_CHECKING:  # These are not imported at run time, because the program ``bus`` has neither faults nor a plant.
+if TYPE_CHECKING:  # The program ``bus`` has no faults and no plant, and must not import them.
     from firmware_sim.faults.active import Faults
     from firmware_sim.pace import Pace
 
 MAX_REQUEST_BYTES = 4096
-"""Maximum length of a request [bytes]."""
+"""Maximum length of a request to the fault socket [bytes]."""
 
 
 def is_served(path: Path) -> bool:
-    """Return True if a running simulator listens at the path of a fault socket."""
+    """Return True if a running simulator listens on the fault socket at this path."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(str(path))
@@ -26,17 +29,17 @@ def is_served(path: Path) -> bool:
 
 
 class FaultSocket:
-    """A Unix datagram socket that receives JSON requests and answers with a JSON object.
+    """A Unix datagram socket that receives requests in JSON and answers each with a JSON object.
 
     Requests are ``{"inject": TEXT}``, ``{"list": true}``, ``{"kinds": true}`` and ``{"pace":
     true}``.
     """
 
     def __init__(self, path: Path, faults: "Faults") -> None:
-        """Open the socket.
+        """Open the fault socket.
 
         Args:
-            path: path of the socket.
+            path: path of the socket's file.
             faults: faults of the simulated hand.
 
         Raises:
@@ -58,10 +61,10 @@ class FaultSocket:
         return [self._socket]
 
     def serve(self, pace: "Pace | None" = None) -> None:
-        """Answer all waiting requests.
+        """Answer all requests that wait in the socket.
 
         Args:
-            pace: pace of the simulator, None if the program does not measure it.
+            pace: pace of the simulator, None for a program that does not measure the pace.
         """
         while True:
             try:
@@ -73,7 +76,7 @@ class FaultSocket:
                 try:
                     self._socket.sendto(answer, client)
                 except OSError:
-                    continue  # The client has gone, or its queue is full.
+                    continue  # The client of this request has gone, or its queue is full.
 
     def _answer(self, request_bytes: bytes, pace: "Pace | None") -> dict[str, object]:
         """Return the answer to one request."""
@@ -95,6 +98,6 @@ class FaultSocket:
         return {"faults": self._faults.states()[-20:], "t_ns": self._faults.t_ns, "slip_ns": self._faults.slip_ns}
 
     def close(self) -> None:
-        """Close the socket and remove its file."""
+        """Close the fault socket and remove its file."""
         self._socket.close()
         self._path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Faults as data and as a line of text: ``drop node=3 p=0.05 at=3s for=2s``."""
+"""Faults as data and as a line of text, such as ``drop node=3 p=0.05 at=3s for=2s``."""
 
 import math
 from dataclasses import dataclass
@@ -7,21 +7,21 @@ from typing import NamedTuple
 from firmware_sim.description import Hand, SimulatorError
 
 NODE = "node"
-"""Component: a drive or the sensor node."""
+"""Target of a fault: a drive or the sensor node."""
 BUS = "bus"
-"""Component: all nodes of a bus."""
+"""Target of a fault: all nodes of a bus."""
 ENCODER = "encoder"
-"""Component: the encoder of a motor."""
+"""Target of a fault: the encoder of a motor."""
 JOINT = "joint"
-"""Component: a joint encoder."""
+"""Target of a fault: a joint encoder."""
 CELL = "cell"
-"""Component: a load cell."""
+"""Target of a fault: a load cell."""
 TENDON = "tendon"
-"""Component: a tendon."""
+"""Target of a fault: a tendon."""
 DIGIT = "digit"
-"""Component: a digit."""
+"""Target of a fault: a digit."""
 SENSORS = "sensors"
-"""Name of the sensor node among the nodes."""
+"""Name of the sensor node in the text of a fault."""
 FOREVER_NS = 1 << 62
 """Duration of a fault without end [ns]."""
 _TIMES = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
@@ -31,9 +31,9 @@ class FaultKind(NamedTuple):
     """A kind of fault.
 
     Attributes:
-        components: components on which it can act.
-        size: default size.
-        text: effect.
+        components: types of component, the possible targets of this kind.
+        size: default size of a fault of this kind.
+        text: effect of a fault of this kind.
     """
 
     components: tuple[str, ...]
@@ -83,7 +83,7 @@ KINDS = {
     "friction": FaultKind((TENDON,), 3, "a motor has additional Coulomb friction of size [N] at its tendon"),
     "block": FaultKind((DIGIT,), 0, "a digit is blocked"),
 }  # fmt: skip
-"""All kinds of fault."""
+"""All kinds of fault by name."""
 SIZE_RANGES = {
     "delay": (0.0, 1e5), "corrupt": (1.0, 512.0), "shorten": (1.0, 64.0), "slow": (2.0, 1e6),
     "error": (0.0, 2.0**32 - 1), "hot": (-40.0, 1000.0), "disobey": (-10.0, 10.0), "runaway": (-4.0, 4.0),
@@ -92,32 +92,35 @@ SIZE_RANGES = {
     "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
     "friction": (0.0, 1e4),
 }  # fmt: skip
-"""Range of the size of each kind. Kinds without entry have ``DEFAULT_SIZE_RANGE``."""
+"""Allowed sizes of faults by kind. Kinds without an entry have ``DEFAULT_SIZE_RANGE``."""
 TWO_MOTOR_KINDS = ("swap", "cross")
-"""Kinds that need a second motor, ``with=NAME``."""
+"""Kinds of fault that act on two motors. Their text names the second motor, ``with=NAME``."""
 DEFAULT_SIZE_RANGE = (-1e6, 1e6)
-"""Default range of a size."""
+"""Allowed sizes of a fault whose kind has no entry in ``SIZE_RANGES``."""
 DRIVE_KINDS = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign", "forget",
              "ripple", "late", "swap", "cross")  # fmt: skip
-"""Kinds for drives only. The sensor node has no power stage, and the host sends it only SYNC."""
+"""Kinds of fault that only drives can have.
+
+The sensor node has no power stage and receives only SYNC from the host.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault.
+    """The data of a fault, as parsed from the text.
 
     Attributes:
         kind: key of ``KINDS``.
-        component: component on which it acts.
-        instance: name of the component.
-        start_ns: start [ns].
-        duration_ns: duration [ns].
-        size: size, see the kind.
-        p: probability for each frame.
-        seed: seed of its random numbers.
-        hz: frequency of a ripple [Hz].
+        component: type of the target component.
+        instance: name of the target component.
+        start_ns: start of the fault [ns].
+        duration_ns: duration of the fault [ns].
+        size: size of the fault, with the meaning and unit defined by the kind.
+        p: probability with which the fault hits a frame.
+        seed: seed of the random numbers of the fault.
+        hz: frequency of the torque in a fault of kind ``ripple`` [Hz].
         text: text from which the fault was parsed.
-        other: second motor of a kind that needs two, otherwise empty.
+        other: second motor of a fault that acts on two motors, otherwise empty.
     """
 
     kind: str
@@ -134,13 +137,13 @@ class Fault:
 
 
 def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
-    """Parse a fault.
+    """Parse the text of a fault.
 
     Args:
         text: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME]
             [seed=N]``.
-        hand: hand that has the fault.
-        now_ns: time from which ``at`` counts [ns].
+        hand: hand in which the fault will act.
+        now_ns: time from which the time after ``at`` counts [ns].
 
     Raises:
         SimulatorError: the text cannot be parsed, or this hand cannot have the fault.
@@ -177,7 +180,7 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
 
 
 def _component(text: str, kind: str, given: dict[str, str]) -> str:
-    """Return the component that the text names."""
+    """Return the type of the fault's target component."""
     components = [key for key in given if key in (NODE, BUS, ENCODER, JOINT, CELL, TENDON, DIGIT)]
     allowed = KINDS[kind].components
     if len(components) != 1 or components[0] not in allowed:
@@ -186,7 +189,7 @@ def _component(text: str, kind: str, given: dict[str, str]) -> str:
 
 
 def _other(text: str, kind: str, first: str, given: dict[str, str], hand: Hand) -> str:
-    """Return the second motor of a kind that needs two, otherwise an empty string."""
+    """Return the second motor of a fault that acts on two motors, otherwise an empty string."""
     if kind not in TWO_MOTOR_KINDS:
         return ""
     if "with" not in given:
@@ -198,12 +201,12 @@ def _other(text: str, kind: str, first: str, given: dict[str, str], hand: Hand) 
 
 
 def instances(component: str, hand: Hand, kind: str = "") -> list[str]:
-    """List the names of a component in a hand.
+    """List the names of all components of one type in a hand.
 
     Args:
         component: NODE, BUS, ENCODER, JOINT, CELL, TENDON or DIGIT.
-        hand: the hand.
-        kind: kind of fault, empty for any.
+        hand: hand whose components are listed.
+        kind: kind of fault possible for the components, empty for any kind.
     """
     motors = [motor.name for motor in hand.motors]
     return {
@@ -218,7 +221,7 @@ def instances(component: str, hand: Hand, kind: str = "") -> list[str]:
 
 
 def _instance(text: str, names: list[str], component: str, name: str, hand: Hand) -> str:
-    """Return a name, given the name or the node number of a motor."""
+    """Return the name of a component. A motor may also be given by its node number."""
     if component in (NODE, ENCODER):
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}
         name = numbers.get(name, name)
@@ -228,7 +231,7 @@ def _instance(text: str, names: list[str], component: str, name: str, hand: Hand
 
 
 def _number(text: str, key: str, word: str, low: float, high: float) -> float:
-    """Parse a number in a range."""
+    """Parse a number that must lie in a range."""
     try:
         value = float(int(word, 0)) if word.startswith("0x") else float(word)
     except ValueError:
@@ -239,7 +242,7 @@ def _number(text: str, key: str, word: str, low: float, high: float) -> float:
 
 
 def _time(text: str, key: str, word: str) -> int:
-    """Parse a time with its unit [ns]."""
+    """Parse a time with a unit, and return the time [ns]."""
     unit = next((unit for unit in _TIMES if word.endswith(unit)), "")
     if not unit:
         raise SimulatorError(f"fault {text!r}: {key}={word}: expected a time with its unit, as in 3s or 200ms")

@@ -1,4 +1,4 @@
-"""Faults between nodes and host: frames that are lost, late, duplicated, changed or replayed."""
+"""Faults on the way between nodes and host: frames are lost, late, duplicated, changed or replayed."""
 
 import random
 from collections.abc import Sequence
@@ -8,20 +8,20 @@ from firmware_sim.bus.frame import EXTENDED, Frame
 from firmware_sim.faults.text import Fault
 
 NEVER_NS = 1 << 62
-"""Release time of a frame that is not delayed by time but stored for another reason [ns]."""
+"""Release time [ns] of stored frames that a fault releases itself, and not at a certain time."""
 
 
 @dataclass
 class ActiveFault:
-    """A fault that waits, acts or is over.
+    """An injected fault, which waits, acts or is over.
 
     Attributes:
-        fault: the fault as data.
-        rng: random numbers of the fault.
-        effects: number of effects so far.
-        first_ns: time of the first effect [ns], -1 before.
-        delayed: stored frames with their release times [ns].
-        calls: number of calls so far.
+        fault: the data of the fault.
+        rng: generator of the fault's random numbers.
+        effects: number of effects of the fault until now.
+        first_ns: time of the fault's first effect [ns], -1 before the first effect.
+        delayed: frames that the fault has stored, with their release times [ns].
+        calls: number of answers handled by the fault until now.
     """
 
     fault: Fault
@@ -32,7 +32,7 @@ class ActiveFault:
     calls: int = 0
 
     def note_effect(self, t_ns: int) -> None:
-        """Count an effect."""
+        """Count an effect of the fault."""
         self.effects += 1
         if self.first_ns < 0:
             self.first_ns = t_ns
@@ -43,7 +43,7 @@ class ActiveFault:
 
 
 def loses_request(actives: Sequence[ActiveFault], t_ns: int) -> bool:
-    """Return True if a frame to the node is lost."""
+    """Return True if a frame from the host to the node is lost."""
     for active in actives:
         if active.fault.kind in ("deaf", "off") and active.hits():
             active.note_effect(t_ns)
@@ -52,10 +52,10 @@ def loses_request(actives: Sequence[ActiveFault], t_ns: int) -> bool:
 
 
 def transmit(actives: Sequence[ActiveFault], frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Apply the faults to frames that a node sends.
+    """Apply the faults of a node to frames sent by the node.
 
     Returns:
-        The frames that go out.
+        The frames that the bus carries now.
     """
     for active in actives:
         change = CHANGES.get(active.fault.kind)
@@ -75,7 +75,7 @@ def due(actives: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
 
 
 def _drop(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Drop frames."""
+    """Drop the frames hit by the fault."""
     passed = [frame for frame in frames if not active.hits()]
     if len(passed) < len(frames):
         active.note_effect(t_ns)
@@ -83,7 +83,7 @@ def _drop(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
 
 
 def _delay(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Store frames until their delay is over."""
+    """Store the frames hit by the fault, until their delay is over."""
     passed = []
     for frame in frames:
         if active.hits():
@@ -95,7 +95,7 @@ def _delay(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
 
 
 def _duplicate(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send frames twice."""
+    """Send the frames hit by the fault twice."""
     sent = []
     for frame in frames:
         sent.append(frame)
@@ -106,13 +106,14 @@ def _duplicate(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Fram
 
 
 def _twin(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send additional frames with the same identifier and another payload, as from a second node."""
+    """Send an additional frame with the same identifier but another payload, as a second node would."""
     sent = []
     for frame in frames:
         sent.append(frame)
         if len(frame.data) >= 4 and active.hits():
             other = bytearray(frame.data)
-            # One bit in the middle of a value: plausible, and different from the true frame.
+            # The inverted bit lies in the middle of a value, so the frame is plausible but differs
+            # from the true frame.
             other[2] ^= 0x04
             sent.append(frame._replace(data=bytes(other)))
             active.note_effect(t_ns)
@@ -120,7 +121,7 @@ def _twin(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
 
 
 def _reorder(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Store the first frame until the next frames have been sent."""
+    """Send the first frame only after the frames of the next answer."""
     late = [frame for _, frame in active.delayed]
     active.delayed = []
     if not late and active.hits():
@@ -131,7 +132,7 @@ def _reorder(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]
 
 
 def _corrupt(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Invert random bits of the payload."""
+    """Invert random bits in the payload of each frame hit by the fault."""
     sent = []
     for frame in frames:
         if frame.data and active.hits():
@@ -146,7 +147,7 @@ def _corrupt(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]
 
 
 def _shorten(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Remove the last bytes of the payload."""
+    """Remove the last bytes from the payload of each frame hit by the fault."""
     sent = []
     for frame in frames:
         if frame.data and active.hits():
@@ -157,7 +158,10 @@ def _shorten(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]
 
 
 def _extend(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Mark an identifier of 11 bits as one of 29 bits. The fault has no effect on other identifiers."""
+    """Mark identifiers of 11 bits as identifiers of 29 bits.
+
+    Identifiers of 29 bits stay unchanged.
+    """
     sent = []
     for frame in frames:
         if not frame.can_id & EXTENDED and active.hits():
@@ -168,7 +172,7 @@ def _extend(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
 
 
 def _slow(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Drop all but every ``size``-th answer."""
+    """Drop all answers of a node except every n-th answer. The size of the fault is n."""
     active.calls += 1
     if active.calls % max(2, int(active.fault.size)):
         active.note_effect(t_ns)
@@ -177,15 +181,18 @@ def _slow(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
 
 
 def _off(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Drop all frames of a node without power."""
+    """Drop all frames of a node, as if the node had no power."""
     active.note_effect(t_ns)
     return []
 
 
 def _replay(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send the frames of ``size`` answers ago, or the present frames until so many answers exist."""
+    """Replay the frames of ``size`` answers ago.
+
+    Until so many answers exist, send the present frames.
+    """
     active.calls += 1
-    # Beyond NEVER_NS the release time is the number of the answer: ``due`` never releases these
+    # The release time is NEVER_NS plus the number of the answer, so ``due`` never releases these
     # frames.
     active.delayed += [(NEVER_NS + active.calls, frame) for frame in frames]
     then = active.calls - int(active.fault.size)
@@ -201,4 +208,4 @@ CHANGES = {
     "drop": _drop, "delay": _delay, "duplicate": _duplicate, "twin": _twin, "reorder": _reorder, "corrupt": _corrupt,
     "shorten": _shorten, "extend": _extend, "slow": _slow, "off": _off, "replay": _replay,
 }  # fmt: skip
-"""Function that changes the sent frames, for each kind of fault."""
+"""Function that changes the frames sent by a node, by kind of fault."""

@@ -1,4 +1,4 @@
-"""Nodes on the bus: one package for each drive protocol, and the sensor node."""
+"""Simulated nodes on the CAN bus: the drives of each protocol, and the sensor node."""
 
 from firmware_sim.nodes import cubemars
 from firmware_sim.nodes.cia402 import bench as cia402_bench
@@ -18,4 +18,4 @@ PROTOCOLS: dict[str, ProtocolSpec] = {
     "robstride": robstride_bench.SPEC,
     "robstride_mit": mit_mode.SPEC,
 }
-"""Protocol specifications by the name in the hand file."""
+"""Specification of each drive protocol, by the name of the protocol in a hand file."""

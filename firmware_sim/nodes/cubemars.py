@@ -8,10 +8,11 @@ Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and b
     byte 6     temperature + 40 [degC]
     byte 7     error
 
-Older firmware sends the first six bytes only. Source: facts, mit_damiao (variants).
+Older firmware sends only the first six bytes. Source: fact sheet mit_damiao, section variants.
 
 Choices where the fact sheet is silent: a disabled motor answers commands. An error removes the
-torque and ends when its cause ends. Unknown codes behind seven bytes of FF are not answered.
+torque, and ends when its cause ends. Special commands (seven bytes of FF and a code) with an
+unknown code are not answered.
 """
 
 import enum
@@ -31,7 +32,7 @@ FULL_SCALE = {
     "ak80-9": (12.5, 50.0, 18.0),
     "ak10-9": (12.5, 50.0, 65.0),
 }
-"""Position [rad], velocity [rad/s] and torque [N m] range of each model."""
+"""Position [rad], velocity [rad/s] and torque [N m] at full scale, by motor model."""
 SPEED_CONSTANTS = {
     "ak60-6": (80.0, 6.0),
     "ak70-10": (100.0, 10.0),
@@ -39,20 +40,20 @@ SPEED_CONSTANTS = {
     "ak80-9": (100.0, 9.0),
     "ak10-9": (60.0, 9.0),
 }
-"""Speed constant [1/min/V] and gear ratio of each model.
+"""Speed constant [1/min/V] and gear ratio, by motor model.
 
 Source: names of the models, such as AK80-9 KV100.
 """
 SUPPLY_V = 48.0
-"""Supply voltage [V]."""
+"""Supply voltage of the motors [V]."""
 STALL_FACTOR = 2.0
-"""Stall torque divided by full scale, an assumption."""
+"""Stall torque divided by the torque at full scale. An assumption."""
 DEFAULT_TYPE = "ak80-9"
-"""Default model."""
+"""Motor model if the hand file gives none."""
 THERMAL_PERIOD_NS = 100_000_000
-"""Period of the thermal update [ns]."""
+"""Period of the update of the temperatures [ns]."""
 HOT_C = 100.0
-"""Winding temperature of the error [degC]."""
+"""Winding temperature above which the drive reports an error [degC]."""
 COOL_C = 90.0
 """Winding temperature at which the error ends [degC]."""
 ZEROING_NS = 1_000_000_000
@@ -60,14 +61,17 @@ ZEROING_NS = 1_000_000_000
 _SPECIAL = b"\xff" * 7
 """First seven bytes of a special command."""
 COLDEST_C = -40
-"""Temperature of byte value 0 [degC]. The manual subtracts 40 in its example of a reply."""
+"""Temperature that the byte value 0 stands for [degC].
+
+The manual subtracts 40 in its example of a reply.
+"""
 _ENABLE = 0xFC
 _DISABLE = 0xFD
 _ZERO = 0xFE
 
 
 class Error(enum.IntEnum):
-    """Error in byte 7 of the feedback."""
+    """Error code in byte 7 of the feedback."""
 
     NONE = 0
     HOT = 1
@@ -79,27 +83,27 @@ class Error(enum.IntEnum):
 
 
 class CubemarsNode:
-    """One motor node.
+    """A simulated CubeMars motor on the bus.
 
     Attributes:
-        enabled: True if it follows commands.
-        error: present error.
-        offset: angle on the wire at theta = 0 [rad].
-        thermal: temperatures.
+        enabled: True if the motor follows commands.
+        error: present error of the motor.
+        offset: angle in frames at the spool angle theta = 0 [rad].
+        thermal: temperatures of the motor.
         short: True if feedback has six bytes, as in older firmware.
         ids: identifiers that the node may answer.
-        malformed: frames on the node's identifier that the node could not decode.
-        wake_ns: time of the next wake [ns].
+        malformed: number of frames with the node's identifier that the node could not decode.
+        wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: negative, because the drive has no watchdog.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set up the node after power-up.
+        """Set up the node in the state after power-up.
 
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle on the wire at theta = 0 [rad].
+            offset: angle in frames at the spool angle theta = 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -119,10 +123,10 @@ class CubemarsNode:
         self._silent_until_ns = 0
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Answer a frame with a frame of the same identifier.
+        """Process a frame, and answer with a frame of the same identifier.
 
         Returns:
-            The answers, None if the frame is not for this motor.
+            The answers, None if the frame is not for the motor.
         """
         if frame.can_id != self._id:
             return None
@@ -132,7 +136,7 @@ class CubemarsNode:
             return []
         if t_ns < self._silent_until_ns:
             return []
-        # Eight bytes of FF are a valid command: all fields at their maximum.
+        # Eight bytes of FF are a valid MIT command, with all fields at their maximum.
         if data[:7] == _SPECIAL and data[7] != 0xFF:
             return self._special(data[7], frame, t_ns)
         self._apply_command(data)
@@ -154,13 +158,16 @@ class CubemarsNode:
         return [self._answer(frame, t_ns)]
 
     def _switch(self, on: bool) -> None:
-        """Switch the torque on or off. The servo is released unless it was enabled before."""
+        """Switch the torque on or off.
+
+        The servo keeps its setpoint only if the motor was enabled and stays enabled.
+        """
         if not (on and self.enabled):
             self.motor.servo.release()
         self.enabled = on
 
     def _apply_command(self, data: bytes) -> None:
-        """Apply a command if enabled."""
+        """Apply an MIT command if the motor is enabled."""
         if not self.enabled:
             return
         command = decode_command(data, self._ranges)
@@ -173,7 +180,7 @@ class CubemarsNode:
         servo.torque = sign * command.torque
 
     def _answer(self, frame: Frame, t_ns: int) -> Frame:
-        """Return the present feedback."""
+        """Return the frame with the present feedback."""
         motor = self.motor
         sign = self._direction
         ranges = self._ranges
@@ -189,18 +196,18 @@ class CubemarsNode:
         return Frame(self._id, data, frame.flags, frame.bus, t_ns)
 
     def trip(self, error: Error) -> None:
-        """Enter an error state, or leave it with Error.NONE. An error removes the torque."""
+        """Enter an error state, which removes the torque. Error.NONE ends the error state."""
         self.error = error
         if error != Error.NONE:
             self._switch(on=False)
 
     def power_cycle(self) -> None:
-        """Restart disabled and without error."""
+        """Restart the motor, disabled and without error."""
         self.error = Error.NONE
         self._switch(on=False)
 
     def wake(self, t_ns: int) -> None:
-        """Update the temperatures and their error."""
+        """Update the temperatures, and set or end the over-temperature error."""
         if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
             if self._thermal_ns >= 0:
                 self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
@@ -214,7 +221,7 @@ class CubemarsNode:
 
 
 def shaft(motor_type: str) -> Shaft:
-    """Build the shaft of a model. Inertia and stall torque are assumptions."""
+    """Build the shaft of a motor model. Its inertia and stall torque are assumptions."""
     position, velocity, peak = FULL_SCALE[motor_type]
     speed_constant, ratio = SPEED_CONSTANTS[motor_type]
     top_speed = speed_constant * SUPPLY_V / ratio * math.tau / 60.0
@@ -228,12 +235,12 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace disable by a command without torque."""
+    """Replace the command *disable* by an MIT command without torque."""
     return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if frame.data == _SPECIAL + b"\xfd" else frame
 
 
 def _force_command(node: CubemarsNode, frame: Frame) -> None:
-    """Apply an MIT command in any state."""
+    """Apply an MIT command in any state of the motor."""
     if frame.can_id in node.ids and len(frame.data) == 8 and frame.data[:7] != _SPECIAL:
         enabled = node.enabled
         node.enabled = True
@@ -244,4 +251,4 @@ def _force_command(node: CubemarsNode, frame: Frame) -> None:
 SPEC = ProtocolSpec(
     CubemarsNode, range(1, 0x100), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command, force_command=_force_command
 )
-"""The MIT protocol with CubeMars motors."""
+"""Specification of the MIT protocol with CubeMars motors."""

@@ -1,8 +1,8 @@
-"""Compiled kernel for the frames of every tick, from records to records.
+"""Compiled kernel that answers the cyclic frames of a tick. Frames and answers are records.
 
-A table leads from an identifier to the first node that receives it. Each entry leads to the next
-node that receives the same identifier. A frame that needs a decision stops the kernel: a special
-command, a register request, a wrong length, or a watchdog that is due. The node then answers the
+A table gives the first receiver of each identifier. Each receiver gives the next receiver of the
+same identifier. The kernel stops at a frame that Python must process: a special command, a register
+request, a frame of wrong length, or any frame if a watchdog is due. The node then processes this
 frame in Python, and the kernel continues with the next frame. The bit layouts are in ``mit.codec``,
 ``odrive.node``, ``cia402.kernels`` and ``sensors``.
 """
@@ -60,54 +60,62 @@ from firmware_sim.plant.drivetrain import encoded, tensions
 from firmware_sim.plant.structs import RotorStruct, TendonStruct
 
 FRAME_NS = 135_000
-"""Maximum duration of a classical frame of 8 bytes at 1 Mbit/s [ns], the spacing of answers. Source: VCAN."""
+"""Maximum duration of a classical frame of 8 bytes at 1 Mbit/s [ns].
+
+Answers have this spacing. Source: VCAN.
+"""
 FD_FRAME_NS = 57_000
 """Maximum duration of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
 NEXT_FRAME, ANSWERS, IN_ORDER, SENT, WAKE_NS = range(5)
-"""Indices into ``progress``.
+"""Indices into the array ``progress``.
 
-Number of the next frame, number of answers, 1 if the times of the answers rise, number of unsolicited
-frames, earliest wake time of all drives [ns].
+The array holds the index of the next frame, the number of answers, 1 if the times of the answers
+rise, the number of unsolicited frames, and the earliest wake time of all drives [ns].
 """
 NEVER_NS = 1 << 62
 """Wake time if no drive needs to be woken [ns]."""
 _IDS = 0x800
 """Number of standard identifiers.
 
-The table has two blocks of this size for each bus: data frames, remote frames.
+The table of receivers has two blocks of this size for each bus, for data frames and for remote
+frames.
 """
 _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensors.TENSION
 _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET = sensors.JOINT
 _SPECIAL = 0xFFFFFFFFFFFFFF
-"""Seven bytes of FF, the start of an MIT motor's special command."""
+"""Seven bytes of FF as an integer. Special commands of MIT motors start with these bytes."""
 
 
 class Receiver(ctypes.Structure):
-    """A receiver of an identifier.
+    """A node that receives an identifier.
 
-    Fields: kind of node, row among the nodes of its kind, and index of the next receiver or -1.
+    The fields are the kind of the node, the row in the array for the kind, and the index of the
+    next receiver or -1.
     """
 
     _fields_ = [(name, ctypes.c_int64) for name in ("kind", "number", "next")]
 
 
 def empty_table(buses: int) -> Any:
-    """Make a table without receivers, shape (identifiers of all buses,)."""
+    """Make a table of receivers without any receiver, shape (2 * 2048 * buses,)."""
     return np.full(buses * 2 * _IDS, -1, np.int64)
 
 
 @inner
 def table_index(bus: int, can_id: int) -> int:
-    """Return the index of an identifier in the table, -1 for an identifier that is not standard."""
+    """Return the index of an identifier in the table of receivers, -1 for an identifier of more than 11 bits."""
     if can_id & ~REMOTE >= _IDS:
         return -1
-    # Block of the bus, then block of data or remote frames.
+    # The index selects the blocks of the bus, and then the block of data frames or remote frames.
     return (2 * bus + (1 if can_id & REMOTE else 0)) * _IDS + (can_id & (_IDS - 1))
 
 
 @inner
 def _word(data: Any) -> int:
-    """Return eight bytes as an integer, the first byte highest. Its sign has no meaning."""
+    """Return eight bytes as an integer, the first byte highest.
+
+    The sign of the integer has no meaning.
+    """
     word = 0
     for i in range(8):
         word = word << 8 | int(data[i])
@@ -116,7 +124,7 @@ def _word(data: Any) -> int:
 
 @inner
 def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) -> None:
-    """Fill all fields of a frame. The payload is set to zero."""
+    """Fill all fields of a frame except its time. The payload is set to zero."""
     answer.can_id = can_id
     answer.length = length
     answer.flags = flags
@@ -128,29 +136,29 @@ def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) ->
 
 @inner
 def _put_int(data: Any, at: int, size: int, value: int) -> None:
-    """Write an integer into bytes, low byte first."""
+    """Write an integer into a payload, low byte first."""
     for i in range(size):
         data[at + i] = value >> 8 * i & 0xFF
 
 
 @inner
 def _put_float(data: Any, at: int, value: float) -> None:
-    """Write a float of four bytes, low byte first."""
+    """Write a float of four bytes into a payload, low byte first."""
     _put_int(data, at, 4, int(np.float32(value).view(np.uint32)))
 
 
 @inner
 def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
-    """Return True if an MIT drive must process a frame in Python."""
+    """Return True if Python must process a frame for an MIT drive."""
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
         return True
-    # The seven first bytes, without the code of the special command.
+    # Only the first seven bytes are compared, without the code of the special command.
     return _word(frame.data) >> 8 & _SPECIAL == _SPECIAL
 
 
 @inner
 def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> None:
-    """Apply a command to an MIT drive and write its feedback."""
+    """Apply a command to an MIT drive and write the drive's feedback."""
     node.watchdog_fed_ns = t_ns
     if node.state == ENABLED:
         apply_command(node, rotor.servo_row, _word(frame.data))
@@ -160,19 +168,19 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
     _fill_header(answer, node.reply_id, 8, frame.flags, frame.bus)
     data = answer.data
     for i in range(8):
-        # Highest byte first.
+        # The payload has the highest byte first.
         data[i] = word >> (56 - 8 * i) & 0xFF
 
 
 @inner
 def _get_float(data: Any) -> float:
-    """Return the float in the first four bytes."""
+    """Return the float in the first four bytes of a payload."""
     return float(np.uint32(data[0] | data[1] << 8 | data[2] << 16 | data[3] << 24).view(np.float32))
 
 
 @inner
 def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
-    """Return True if an ODrive must process a torque setpoint or an encoder request in Python."""
+    """Return True if Python must process a torque setpoint or an encoder request for an ODrive."""
     if frame.flags & FDF or rotor.faulty != 0 or node.motion_due_ns > 0:
         return True
     return bool(frame.can_id & REMOTE == 0 and (frame.length < 4 or not math.isfinite(_get_float(frame.data))))
@@ -180,7 +188,7 @@ def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
 
 @inner
 def _write_encoder_frame(node: Any, rotor: Any, bus: int, answer: Any) -> None:
-    """Write the encoder estimates of an ODrive."""
+    """Write the frame with the encoder estimates of an ODrive."""
     _fill_header(answer, node.node_id << 5 | 0x09, 8, 0, bus)
     _put_float(answer.data, 0, turns(node, encoded(rotor.theta)))
     _put_float(answer.data, 4, turns_per_s(node, rotor.velocity))
@@ -188,10 +196,10 @@ def _write_encoder_frame(node: Any, rotor: Any, bus: int, answer: Any) -> None:
 
 @inner
 def _answer_odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
-    """Apply a torque setpoint of an ODrive, or answer an encoder request.
+    """Apply a torque setpoint to an ODrive, or answer an encoder request.
 
     Returns:
-        Number of answers.
+        Number of answers in ``answers``.
     """
     if frame.can_id & REMOTE:
         _write_encoder_frame(node, rotor, frame.bus, answers[count])
@@ -203,14 +211,14 @@ def _answer_odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
 
 @inner
 def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
-    """Return True if a CiA 402 drive must process SYNC, an RPDO or its master's heartbeat in Python."""
+    """Return True if Python must process a SYNC, an RPDO or a master's heartbeat for a CiA 402 drive."""
     if frame.flags & FDF or rotor.faulty != 0 or node.thermal_ns < 0:
         return True
     if frame.can_id == node.sync_id:
         return bool(node.nmt != OPERATIONAL)
     if frame.can_id == node.master_id:
         return False
-    # Bits 0 to 3 set and fault reset clear: the control word of enabled operation.
+    # With bits 0 to 3 set and fault reset clear, the control word keeps the operation enabled.
     stays_enabled = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
     return (
         node.nmt != OPERATIONAL or frame.length < 4 or not stays_enabled or not follows_torque(node, node.power_stage)
@@ -219,10 +227,10 @@ def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
 
 @inner
 def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
-    """Process SYNC, an RPDO or the master's heartbeat in a CiA 402 drive.
+    """Process a SYNC, an RPDO or the master's heartbeat in a CiA 402 drive.
 
     Returns:
-        Number of answers.
+        Number of answers in ``answers``.
     """
     data = frame.data
     values = node.values
@@ -249,18 +257,18 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
 
 @inner
 def _write_sensor_frames(words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int) -> int:
-    """Write the payloads of the sensor node as answers to SYNC.
+    """Write payloads of the sensor node into frames that answer SYNC.
 
     Args:
-        words: payloads as integers, low byte first.
-        channels: number of channels in all payloads.
+        words: payloads as integers, to be written low byte first.
+        channels: number of channels in all payloads together.
         can_id: identifier of the first frame.
-        frame: SYNC.
-        answers: memory for answers.
+        frame: the SYNC frame.
+        answers: array for the answers, filled by the kernel.
         count: number of answers so far.
 
     Returns:
-        Number of answers.
+        Number of answers in ``answers``.
     """
     for g in range(len(words)):
         length = payload_size(channels - g * CHANNELS)
@@ -275,24 +283,24 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     node: Any, frame: Any, t_ns: int, cells: Any, q: Any, cell_order: Any, joint_order: Any, bias: Any,
     noise: Any, noise_bounds: Any, answers: Any, count: int,
 ) -> int:  # fmt: skip
-    """Sample load cells and joint encoders, and write the answers to SYNC.
+    """Sample load cells and joint encoders, and write the frames that answer SYNC.
 
     Args:
-        node: sensor node.
-        frame: SYNC.
+        node: row of the sensor node.
+        frame: the SYNC frame.
         t_ns: present time [ns].
         cells: tension of each tendon [N].
         q: joint angles [rad].
-        cell_order: tendon of each load cell channel.
-        joint_order: joint of each encoder channel.
+        cell_order: index of the tendon of each load cell channel.
+        joint_order: index of the joint of each encoder channel.
         bias: bias of each load cell [N].
-        noise: normal numbers, see ``Noise``.
+        noise: random numbers with a normal distribution, see ``Noise``.
         noise_bounds: indices into ``noise``, see ``Noise``.
-        answers: memory for answers.
+        answers: array for the answers, filled by the kernel.
         count: number of answers so far.
 
     Returns:
-        Number of answers.
+        Number of answers in ``answers``.
     """
     channels = len(cell_order)
     joints = len(joint_order)
@@ -324,14 +332,14 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
 
 @inner
 def _stamp_in_sequence(frames: Any, answers: Any, count: int, t_ns: int, last_ns: int, buses: int) -> bool:
-    """Stamp answers as if they followed the frames and one another on each bus.
+    """Set the times of answers as if each bus carried all frames and answers one after the other.
 
     Args:
         frames: frames of the host.
-        answers: answers, whose times are set.
+        answers: answers, in which the times are set.
         count: number of answers.
         t_ns: start of the tick [ns].
-        last_ns: maximum delay of an answer [ns].
+        last_ns: maximum delay of an answer after the start of the tick [ns].
         buses: number of buses.
 
     Returns:
@@ -352,14 +360,14 @@ def _stamp_in_sequence(frames: Any, answers: Any, count: int, t_ns: int, last_ns
 
 
 DRIVE_ARGUMENTS = (Receiver, MitStruct, OdriveStruct, Cia402Struct)
-"""Argument types: receivers, and the rows of the drives."""
+"""Types of the kernel arguments with receivers and with the rows of the drives."""
 
 
 @inner
 def _drive_needs_python(
     receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int
 ) -> bool:
-    """Return True if a drive must process a frame in Python."""
+    """Return True if Python must process a frame for a drive."""
     if receiver_row.kind == MIT:
         return _mit_needs_python(mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns)
     if receiver_row.kind == ODRIVE:
@@ -373,10 +381,10 @@ def _drive_needs_python(
 def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
     receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answers: Any, count: int
 ) -> int:  # fmt: skip
-    """Process a frame in a drive.
+    """Process a frame in a drive and write the drive's answers.
 
     Returns:
-        Number of answers.
+        Number of answers in ``answers``.
     """
     if receiver_row.kind == MIT:
         _answer_mit(
@@ -424,22 +432,24 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
     bias: Any, noise: Any, noise_bounds: Any, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any,
     dq: Any, cells: Any,
 ) -> None:  # fmt: skip
-    """Answer frames until a frame needs Python. After the last frame, stamp all answers.
+    """Answer frames until Python must process a frame.
+
+    After the last frame, set the times of all answers.
 
     Args:
         frames: frames of the host.
-        answers: memory for answers.
-        progress: state of the work, see ``NEXT_FRAME``.
+        answers: array for the answers, filled by the kernel.
+        progress: numbers that describe the progress, see ``NEXT_FRAME``.
         t_ns: present time [ns].
-        last_ns: maximum delay of an answer [ns].
+        last_ns: maximum delay of an answer after the start of the tick [ns].
         table: index of the first receiver of each identifier, or -1.
         max_answers: maximum number of answers to one frame.
-        receivers: receivers.
+        receivers: all receivers, to which ``table`` and receivers point.
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
-        drives: all drives.
-        sensor: sensor node, shape (1,), or (0,) without one.
+        drives: all drives as receivers.
+        sensor: row of the sensor node, shape (1,). Without a sensor node, shape (0,).
         cell_order: see ``_answer_sync``.
         joint_order: see ``_answer_sync``.
         bias: see ``_answer_sync``.
@@ -451,7 +461,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         rotors: see ``drivetrain.tensions``.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
-        cells: memory for the tension of each tendon [N].
+        cells: array for the tension of each tendon, filled by the kernel [N].
     """
     count = progress[ANSWERS]
     buses = len(table) // (2 * _IDS)
@@ -468,8 +478,8 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         while index >= 0:
             receiver_row = receivers[index]
             if receiver_row.kind == SENSORS:
-                # The kernel cannot draw random numbers, so all numbers of one SYNC must be there
-                # before.
+                # The kernel cannot draw random numbers, so all numbers for one SYNC must have been
+                # drawn before.
                 drawn = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(joint_order)
                 needs_python = needs_python or frame.length != 1 or not drawn
             else:
@@ -509,14 +519,14 @@ ROTORS = np.dtype(RotorStruct)
 
 @compiled(RECORD, RECORD, "counts", "count", "count", "count")
 def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answers: int) -> None:
-    """Answer frames. See ``_answer``.
+    """Answer frames, with most arrays given by address. See ``_answer``.
 
     Args:
         frames: frames of the host.
-        answers: memory for answers.
+        answers: array for the answers, filled by the kernel.
         at: address and length of each other array of ``_answer``, in the order of ``Exchange``.
         t_ns: present time [ns].
-        last_ns: maximum delay of an answer [ns].
+        last_ns: maximum delay of an answer after the start of the tick [ns].
         max_answers: maximum number of answers to one frame.
     """
     _answer(
@@ -532,10 +542,10 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
 
 @inner
 def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if an ODrive has more to do than to send messages.
+    """Return True if Python must wake an ODrive, because more than the two cyclic messages is due.
 
-    Such are thermal updates, the watchdog, the end of a calibration, the modes of ``odrive.motion``,
-    and the messages of firmware 0.5.
+    Python does the update of temperatures, the watchdog, the end of a calibration, the modes of
+    ``odrive.motion``, and the messages of firmware 0.5.
     """
     busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
@@ -545,7 +555,7 @@ def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @inner
 def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
-    """Return True if a CiA 402 drive has more to do than to send its heartbeat."""
+    """Return True if Python must wake a CiA 402 drive, because more than the heartbeat is due."""
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:
         return True
@@ -557,7 +567,7 @@ def _send_cia402(node: Any, now_ns: int, sent: Any, count: int) -> int:
     """Write the heartbeat of a CiA 402 drive if it is due.
 
     Returns:
-        Number of unsolicited frames.
+        Number of frames in ``sent``.
     """
     if heartbeat_due(node, now_ns):
         _fill_header(sent[count], 0x700 + node.node_id, 1, 0, node.bus)
@@ -571,10 +581,10 @@ def _send_cia402(node: Any, now_ns: int, sent: Any, count: int) -> int:
 
 @inner
 def _send_odrive(node: Any, rotor: Any, now_ns: int, sent: Any, count: int) -> int:
-    """Write the messages of an ODrive that are due.
+    """Write the cyclic messages of an ODrive that are due.
 
     Returns:
-        Number of unsolicited frames.
+        Number of frames in ``sent``.
     """
     if now_ns >= node.heartbeat_due_ns:
         _fill_header(sent[count], node.node_id << 5 | 0x01, 8, 0, node.bus)
@@ -604,13 +614,13 @@ def send_due(
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
-        rotors: rotors.
+        rotors: rows of the rotors.
         now_ns: present time [ns].
-        sent: memory for two frames of each drive.
-        progress: number of frames so far, see ``SENT``.
+        sent: array with room for two frames of each drive.
+        progress: array with the number of frames in ``sent``, see ``SENT``.
 
     Returns:
-        False, with no change, if a drive must be woken in Python.
+        False if Python must wake a drive. Nothing is written then.
     """
     for i in range(len(drives)):
         receiver_row = drives[i]
@@ -639,11 +649,15 @@ def send_due(
 
 @compiled(RECORD, RECORD, RECORD)
 def merge(first: Any, second: Any, out: Any) -> None:
-    """Sort two arrays of frames by time into ``out``. Frames with equal times keep their order."""
+    """Write the frames of two arrays into ``out``, sorted by time.
+
+    Frames with equal times keep their order.
+    """
     count = len(first)
     for i in range(len(out)):
         frame = first[i] if i < count else second[i - count]
-        # Insertion sort: both arrays are almost sorted, and equal times must keep their order.
+        # This is an insertion sort, because both arrays are almost sorted and equal times must keep
+        # their order.
         place = i
         while place > 0 and out[place - 1].t_ns > frame.t_ns:
             out[place] = out[place - 1]

@@ -1,12 +1,13 @@
-"""Setpoint generators and cascade of a drive's own position and velocity modes.
+"""Setpoint generators and cascaded controllers for the position and velocity modes of the drives.
 
-A drive's loop runs at 10 to 20 kHz. Here it runs once per millisecond, and the velocity loop inside
-the servo (``plant.motor``) is implicit. All protocols share the cascade:
+The controllers of a real drive run at 10 to 20 kHz. Here the position loop runs once per
+millisecond. The velocity loop is a part of the servo (``plant.motor``), and is integrated
+implicitly. Drives of all protocols share this cascade:
 
     velocity demand = position gain (position - angle) + velocity, within +-speed
     torque          = velocity gain (velocity demand - omega) + integral + feedforward, within +-limit
 
-Position, velocity and torque are those of the spool, in the hand's sign.
+Position, velocity and torque belong to the spool, and have the sign of the hand.
 """
 
 import math
@@ -15,26 +16,29 @@ from typing import NamedTuple
 from firmware_sim.plant.motor import Motor
 
 PERIOD_NS = 1_000_000
-"""Period of generators and position loops [ns]."""
+"""Period of the setpoint generators and position loops [ns]."""
 VELOCITY_BANDWIDTH = 200.0
-"""Bandwidth of a velocity loop whose gain is not documented [1/s], an assumption."""
+"""Bandwidth of the velocity loop of drives without a documented gain [1/s]. An assumption."""
 INTEGRAL_RATE = 20.0
-"""Integral gain divided by velocity gain of such a loop [1/s], an assumption."""
-POSITION_GAIN = 10.0
-"""Position gain of such a loop [1/s], an assumption."""
-INTEGRAL_DECAY = 0.99**8
-"""Factor of the integral in a period while the torque is limited.
+"""Integral gain divided by velocity gain, for drives without a documented gain [1/s].
 
-Source: ODrive firmware, controller.cpp, 0.99 in each of eight loops per millisecond.
+An assumption.
+"""
+POSITION_GAIN = 10.0
+"""Position gain of drives without a documented gain [1/s]. An assumption."""
+INTEGRAL_DECAY = 0.99**8
+"""Factor by which the integral decays in each period while the torque is limited.
+
+Source: ODrive firmware, controller.cpp: a factor of 0.99 in each of eight loops per millisecond.
 """
 
 
 class LoopGains(NamedTuple):
-    """Gains of a cascade at the spool.
+    """Gains of cascaded controllers, converted to the spool.
 
     Attributes:
-        position: position gain [1/s], 0 in velocity mode.
-        velocity: velocity gain [N m s/rad].
+        position: gain of the position loop [1/s], 0 in velocity mode.
+        velocity: gain of the velocity loop [N m s/rad].
         integral: integral gain of the velocity loop [N m/rad].
     """
 
@@ -44,22 +48,22 @@ class LoopGains(NamedTuple):
 
 
 def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
-    """Return the gains of a drive that documents none, for an inertia [kg m2] and a position gain [1/s]."""
+    """Return assumed gains of a drive that documents none, for an inertia [kg m2] and a position gain [1/s]."""
     velocity = VELOCITY_BANDWIDTH * inertia
     return LoopGains(position, velocity, INTEGRAL_RATE * velocity)
 
 
 class Setpoint:
-    """Position, velocity and acceleration of a generator.
+    """The setpoint that a generator moves: position, velocity and acceleration.
 
     Attributes:
-        position: position [rad].
-        velocity: velocity [rad/s].
-        acceleration: acceleration in the last step [rad/s2].
+        position: position setpoint [rad].
+        velocity: velocity setpoint [rad/s].
+        acceleration: acceleration of the setpoint in the last step [rad/s2].
     """
 
     def __init__(self, position: float = 0.0, velocity: float = 0.0) -> None:
-        """Start at a position [rad] with a velocity [rad/s]."""
+        """Start the setpoint at a position [rad] with a velocity [rad/s]."""
         self.jump(position, velocity)
 
     def jump(self, position: float, velocity: float = 0.0) -> None:
@@ -69,45 +73,48 @@ class Setpoint:
         self.acceleration = 0.0
 
     def ramp(self, velocity: float, rise: float, fall: float, step_s: float) -> None:
-        """Move towards a velocity [rad/s] and integrate it.
+        """Move the setpoint's velocity towards a target [rad/s], and advance its position.
 
         Args:
-            velocity: target [rad/s].
+            velocity: target velocity [rad/s].
             rise: largest acceleration while the speed grows [rad/s2].
             fall: largest deceleration while the speed falls [rad/s2].
-            step_s: step [s].
+            step_s: duration of the step [s].
         """
         slows = self.velocity * (velocity - self.velocity) < 0.0
         largest = (fall if slows else rise) * step_s
         change = min(largest, max(-largest, velocity - self.velocity))
         if slows and abs(change) > abs(self.velocity):
-            # A reversal passes through standstill, because the two slopes may differ.
+            # A reversal stops at zero for a step, because acceleration and deceleration may differ.
             change = -self.velocity
         self.velocity += change
         self.acceleration = change / step_s
         self.position += step_s * self.velocity
 
     def trapezoid(self, target: float, speed: float, rise: float, fall: float, step_s: float) -> bool:
-        """Move towards a position with a trapezoidal velocity, replanned at each step.
+        """Move the setpoint towards a position with a trapezoidal velocity profile.
+
+        Each step plans the rest again.
 
         Args:
-            target: target [rad].
+            target: target position [rad].
             speed: largest speed [rad/s].
             rise: largest acceleration [rad/s2].
             fall: largest deceleration [rad/s2].
-            step_s: step [s].
+            step_s: duration of the step [s].
 
         Returns:
-            True at the target.
+            True if the setpoint has reached the target.
         """
         rest = target - self.position
         if math.isinf(fall):
             stoppable = abs(rest) / step_s
         else:
-            # Largest speed from which steps of fall * step_s stop within the rest.
+            # This is the largest speed from which velocity steps of fall * step_s stop within the
+            # remaining distance.
             half = 0.5 * fall * step_s
             stoppable = math.sqrt(half * half + 2.0 * fall * abs(rest)) - half
-        # The last step ends at the target, from at most one step more than the slope.
+        # The last step jumps to the target. It may need up to twice the deceleration.
         slowest = fall * step_s
         if abs(rest) <= min(slowest, speed) * step_s and abs(self.velocity) <= 2.0 * slowest:
             self.jump(target)
@@ -116,7 +123,7 @@ class Setpoint:
         return False
 
     def filter(self, position: float, velocity: float, bandwidth: float, step_s: float) -> None:
-        """Move towards a position [rad] by a critically damped filter of second order.
+        """Move the setpoint towards a position [rad] with a critically damped filter of second order.
 
         Source: ODrive firmware, controller.cpp, INPUT_MODE_POS_FILTER.
         """
@@ -128,28 +135,28 @@ class Setpoint:
 
 
 class Cascade:
-    """Position loop and velocity loop with integrator, on the servo of a motor.
+    """A position loop and a velocity loop with integrator, for the servo of a motor.
 
     Attributes:
         integral: torque of the integrator [N m].
     """
 
     def __init__(self, motor: Motor) -> None:
-        """Use a motor."""
+        """Use the encoder and the servo of a motor."""
         self._motor = motor
         self.integral = 0.0
 
     def regulate(
         self, setpoint: Setpoint, gains: LoopGains, speed: float, limit: float, step_s: float, torque: float = 0.0
     ) -> None:
-        """Set the servo for the next step.
+        """Compute velocity demand and torque, and set the servo of the motor for the next step.
 
         Args:
             setpoint: setpoint of the generator.
-            gains: gains.
+            gains: gains of both loops.
             speed: largest velocity demand [rad/s].
             limit: torque limit [N m].
-            step_s: time since the last call [s], 0 to leave the integrator as it is.
+            step_s: time since the last call [s]. With 0, the integrator keeps its value.
             torque: feedforward torque [N m].
         """
         motor = self._motor

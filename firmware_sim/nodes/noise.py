@@ -1,4 +1,7 @@
-"""Normal random numbers in blocks: the same stream as ``random.Random(seed).gauss(0, 1)``."""
+"""Random numbers with a normal distribution, drawn in blocks.
+
+The numbers equal ``random.Random(seed).gauss(0, 1)``.
+"""
 
 import math
 import random
@@ -10,12 +13,18 @@ import numpy as np
 from firmware_sim.compiled import compiled
 
 BLOCK_SIZE = 512
-"""Number of random numbers per block. The number is even, because the algorithm generates pairs."""
+"""Count of random numbers in a block.
+
+The count is even, because the algorithm generates pairs of numbers.
+"""
 
 
 @compiled("vector", "vector")
 def _normal(uniform: Any, out: Any) -> None:
-    """Convert uniform numbers to normal numbers, two by two. Source: Python, ``random.Random.gauss``."""
+    """Convert pairs of uniformly distributed numbers to pairs of normally distributed numbers.
+
+    Source: Python, ``random.Random.gauss``.
+    """
     for i in range(0, len(out), 2):
         angle = uniform[i] * 2.0 * math.pi
         radius = math.sqrt(-2.0 * math.log(1.0 - uniform[i + 1]))
@@ -24,29 +33,33 @@ def _normal(uniform: Any, out: Any) -> None:
 
 
 class Noise:
-    """A stream of normal numbers.
+    """A stream of random numbers with a normal distribution.
 
     Attributes:
-        numbers: drawn numbers.
-        bounds: index of the next number, and index after the last number.
+        numbers: array with the drawn numbers.
+        bounds: index of the next unused number in ``numbers``, and index after the last drawn
+            number.
     """
 
     def __init__(self, seed: str) -> None:
-        """Seed the stream.
+        """Start the stream with a seed.
 
         Args:
             seed: seed of the stream.
         """
         _, words, _ = random.Random(seed).getstate()
-        # Both generators are MT19937 and make a double of two words in the same way, so the streams
-        # are equal to the bit.
+        # Python and numpy both use MT19937 and make doubles from it in the same way, so both
+        # streams have the same bits.
         self._uniform = np.random.RandomState()
         self._uniform.set_state(("MT19937", np.array(words[:-1], np.uint32), words[-1], 0, 0.0))
         self.numbers: Any = np.zeros(2 * BLOCK_SIZE)
         self.bounds: Any = np.zeros(2, np.int64)
 
     def draw(self, count: int) -> None:
-        """Draw numbers until at least ``count`` are available, where ``count`` is at most ``BLOCK_SIZE``."""
+        """Draw numbers until at least ``count`` unused numbers are available.
+
+        ``count`` is at most ``BLOCK_SIZE``.
+        """
         first, end = self.bounds.tolist()
         if end - first < count:
             self.numbers[: end - first] = self.numbers[first:end]
@@ -54,10 +67,10 @@ class Noise:
             self.bounds[:] = 0, end - first + BLOCK_SIZE
 
     def _block(self) -> Any:
-        """Draw the next block."""
+        """Draw the next block of random numbers."""
         uniform = self._uniform.random_sample(BLOCK_SIZE)
         block = np.empty(BLOCK_SIZE)
-        if isinstance(_normal, FunctionType):  # Without compilation, lists are faster than arrays.
+        if isinstance(_normal, FunctionType):  # If the kernel is not compiled, lists are faster than arrays.
             plain = [0.0] * BLOCK_SIZE
             _normal(uniform.tolist(), plain)
             return plain

@@ -1,4 +1,4 @@
-"""The interface of a protocol to the simulator: its node, and its motors as delivered."""
+"""The interface between a drive protocol and the simulator: the protocol's node, and its motors as delivered."""
 
 import math
 from collections.abc import Callable
@@ -9,17 +9,17 @@ from firmware_sim.description import MotorSpec
 from firmware_sim.plant.motor import Motor
 
 SENSORS, MIT, ODRIVE, CIA402 = range(4)
-"""Kinds of nodes in compiled kernels: sensor node, MIT drive, ODrive, CiA 402 drive."""
+"""Numbers of the kinds of nodes in compiled kernels: sensor node, MIT drive, ODrive, CiA 402 drive."""
 
 
 class Node(Protocol):
-    """A simulated node. Time is an argument of its methods.
+    """A simulated node on the bus. The methods get the present time as an argument.
 
     Attributes:
         wake_ns: time of the next call of ``wake`` [ns].
-        malformed: frames on the node's identifiers that the node could not decode.
-        ids: identifiers that the node may answer, a new object after each change. None if the node
-            must see every frame.
+        malformed: number of frames with the node's identifiers that the node could not decode.
+        ids: identifiers that the node may answer. After each change, this is a new object. None if
+            the node must see every frame.
     """
 
     @property
@@ -34,11 +34,11 @@ class Node(Protocol):
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames on the node's identifiers that the node could not decode."""
+        """Return the number of frames with the node's identifiers that the node could not decode."""
         ...
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Answer a frame.
+        """Process a frame from the bus, and answer it.
 
         Returns:
             The answers, None if the frame is not for this node.
@@ -46,37 +46,37 @@ class Node(Protocol):
         ...
 
     def wake(self, t_ns: int) -> list[Frame] | None:
-        """Update watchdog and temperatures.
+        """Do the work that is due, such as updates of watchdog and temperatures.
 
         Returns:
-            Unsolicited frames, None if the node never sends any.
+            The unsolicited frames to send, None if the node never sends any.
         """
         ...
 
 
 class DriveNode(Node, Protocol):
-    """A node with a motor.
+    """A simulated node that drives a motor.
 
     Attributes:
-        watchdog_fed_ns: time of the last frame that fed the watchdog [ns], negative without
-            watchdog.
+        watchdog_fed_ns: time of the last frame that fed the watchdog [ns], negative if the drive
+            has no watchdog.
     """
 
     watchdog_fed_ns: int
 
 
 class Shaft(NamedTuple):
-    """A motor as delivered, at its output shaft.
+    """Data of a motor as delivered, all at its output shaft.
 
     Attributes:
-        peak: full scale of the torque [N m].
+        peak: torque at full scale of the frames [N m].
         inertia: inertia of the free shaft [kg m2].
-        torque_constant: torque constant [N m/A].
-        position: position range [rad].
-        velocity: velocity range [rad/s].
-        options: options of the hand file.
+        torque_constant: torque constant of the motor [N m/A].
+        position: largest position in frames [rad].
+        velocity: largest velocity in frames [rad/s].
+        options: options of the motor, as in a hand file.
         limit: largest torque that the motor can make [N m].
-        top_speed: no-load speed [rad/s].
+        top_speed: speed of the motor without load [rad/s].
         stall_torque: torque at standstill if only the supply voltage limited it [N m].
     """
 
@@ -92,27 +92,31 @@ class Shaft(NamedTuple):
 
 
 def identity(frame: Frame) -> Frame:
-    """Return the frame unchanged."""
+    """Return the frame without any change."""
     return frame
 
 
 UNADDRESSED = Frame(EXTENDED, b"")
-"""A frame for no node."""
+"""A frame with an identifier of no node."""
 
 
 class ProtocolSpec(NamedTuple):
-    """A protocol.
+    """Specification of a drive protocol for the simulator.
 
     Attributes:
-        node: factory of a node from motor, rotor and encoder angle at theta = 0 [rad].
-        numbers: valid node numbers.
+        node: function that makes a node from the description of a motor, the rotor and the encoder
+            angle at theta = 0 [rad].
+        numbers: valid node numbers of drives.
         shaft: shaft of the default motor on a bench.
-        host_frame: identifier and payload, by node number, of a frame that only a host sends and
-            that has no effect.
-        corrupt_command: replaces a command to disable in a faulty drive.
-        corrupt_reply: replaces the reply of a read-back in a faulty drive.
-        force_command: makes a drive follow a torque command in any state, for a faulty drive. None without.
-        row: class of a node whose numbers are a row of an array for compiled kernels, None without.
+        host_frame: function that returns identifier and payload of a frame for a node number. The
+            frame is sent only by hosts, and has no effect.
+        corrupt_command: function that makes a command to disable ineffective, for a faulty drive.
+        corrupt_reply: function that changes a value in the reply to a read request, for a faulty
+            drive.
+        force_command: function that makes a drive follow a torque command in any state, for a
+            faulty drive. None if the protocol has none.
+        row: class of a node whose numbers are kept in a row of an array, for compiled kernels. None
+            if there is none.
         node_kind: kind of node in compiled kernels, see ``cyclic.Receiver``.
     """
 

@@ -1,4 +1,6 @@
-"""The sensor node: load cells and joint encoders, sampled and sent on SYNC.
+"""The sensor node.
+
+At each SYNC, it samples the load cells and joint encoders and sends their readings.
 
 Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
 
@@ -9,8 +11,9 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
     tension code     (tension + 6 N) / 0.0625 N, 0 and 4095 mean saturated
     joint code       2048 + angle / (2 pi rad / 4096)
 
-Tension frames have identifiers from the base, joint frames from the base + 0x10. A frame with fewer
-channels is cut to as many bytes as its channels need. Source: DBC of the hand, sensor_node.
+The identifiers of tension frames start at the base identifier, and those of joint frames at the
+base + 0x10. A frame with fewer than five channels has only as many bytes as its channels need.
+Source: DBC of the hand, sensor_node.
 """
 
 import ctypes
@@ -26,25 +29,25 @@ from firmware_sim.description import SensorSpec
 from firmware_sim.nodes.noise import Noise
 
 CHANNELS = 5
-"""12-bit channels beside the counter in a frame of 8 bytes."""
+"""Number of 12-bit channels that fit beside the counter into a frame of 8 bytes."""
 TENSION_STEP_N = 0.0625
 """Resolution of a tension code [N]."""
 TENSION_MIN_N = -6.0
-"""Tension of code 0 [N]."""
+"""Tension that the code 0 stands for [N]."""
 JOINT_STEP_RAD = 2.0 * math.pi / 4096
 """Resolution of a joint code [rad]."""
 JOINT_ZERO = 2048
-"""Code of a joint angle of zero."""
+"""Joint code of the joint angle zero."""
 JOINT_OFFSET = 0x10
-"""Offset of the first joint frame's identifier from the base."""
+"""Identifier of the first joint frame minus the base identifier."""
 _MAX_CODE = 4095
-"""Maximum of a 12-bit code."""
+"""Largest 12-bit code."""
 _NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
 TENSION = (TENSION_MIN_N, TENSION_STEP_N, 0)
-"""Value of code 0, resolution and offset of a tension code."""
+"""Parameters of a tension code: value of code 0, resolution and offset."""
 JOINT = (0.0, JOINT_STEP_RAD, JOINT_ZERO)
-"""Value of code 0 before the offset, resolution and offset of a joint code."""
+"""Parameters of a joint code: value of code 0 before the offset, resolution and offset."""
 
 
 class SensorStruct(ctypes.Structure):
@@ -58,14 +61,14 @@ class SensorStruct(ctypes.Structure):
 
 @compiled("real", "real", "real", "count")
 def _code(value: float, low: float, step: float, offset: int) -> int:
-    """Return the 12-bit code of a value. 0 and 4095 mean saturated."""
-    # round() rounds halves to even numbers, in Python and in compiled code.
+    """Return the 12-bit code of a value. The codes 0 and 4095 mean that the value is saturated."""
+    # In Python and in compiled code, round() rounds halves to even numbers.
     return min(_MAX_CODE, max(0, round((value - low) / step) + offset))
 
 
 @inner
 def payload_size(channels: int) -> int:
-    """Return the size of a payload [bytes], given the channels of this and all following payloads."""
+    """Return the size of a payload [bytes], given the number of channels in this and all following payloads."""
     return (4 + 12 * min(CHANNELS, channels) + 7) // 8
 
 
@@ -74,9 +77,9 @@ def _pack(counter: int, codes: Any, words: Any) -> None:
     """Pack a counter (low four bits) and up to five codes into each word.
 
     Args:
-        counter: counter of the SYNC.
+        counter: counter in the SYNC frame.
         codes: code of each channel, shape (channels,).
-        words: payloads as integers, output.
+        words: payloads as integers, written by the kernel.
     """
     for g in range(len(words)):
         word = counter & 0xF
@@ -94,9 +97,9 @@ def encode(values: Any, low: float, step: float, offset: int, counter: int, code
         low: value of code 0 before the offset.
         step: resolution of a code.
         offset: offset of the code.
-        counter: counter of the SYNC.
-        codes: memory for the codes, shape (channels,).
-        words: payloads as integers, output.
+        counter: counter in the SYNC frame.
+        codes: array for the codes, filled by the kernel, shape (channels,).
+        words: payloads as integers, written by the kernel.
     """
     for i in range(len(values)):
         codes[i] = _code(values[i], low, step, offset)
@@ -105,15 +108,16 @@ def encode(values: Any, low: float, step: float, offset: int, counter: int, code
 
 @compiled("vector", "vector", "vector", "real", "real", "vector")
 def read_cells(true: Any, bias: Any, normal: Any, drift: float, noise: float, readings: Any) -> None:
-    """Compute the readings of the load cells: true tension, random walk of the bias, and noise.
+    """Compute the readings of the load cells: the sum of true tension, random walk of the bias, and noise.
 
     Args:
         true: true tension of each cell [N].
-        bias: bias of each cell [N], updated.
-        normal: normal numbers, first for the walk of each cell, then for the noise of each cell.
-        drift: standard deviation of the walk since the last sample [N].
-        noise: standard deviation of the noise [N].
-        readings: reading of each cell [N], output.
+        bias: bias of each cell [N], which the kernel updates.
+        normal: random numbers with a normal distribution: first for the walk of each cell, then for
+            the noise of each cell.
+        drift: standard deviation of the bias walk since the last sample [N].
+        noise: standard deviation of the noise of a reading [N].
+        readings: reading of each cell [N], written by the kernel.
     """
     channels = len(true)
     for i in range(channels):
@@ -124,7 +128,9 @@ def read_cells(true: Any, bias: Any, normal: Any, drift: float, noise: float, re
 
 @inner
 def drift_since(node: Any, t_ns: int) -> float:
-    """Return the standard deviation of the bias walk since the last sample [N], and store the time of this sample.
+    """Return the standard deviation of the bias walk since the last sample [N].
+
+    Store the time of this sample.
 
     The standard deviation is ``bias_drift`` after 100 s.
     """
@@ -135,12 +141,15 @@ def drift_since(node: Any, t_ns: int) -> float:
 
 @inner
 def has_joints(node: Any, joints: int, counter: int) -> bool:
-    """Return True if the joint encoders are sent after a SYNC with this counter."""
+    """Return True if a SYNC with this counter is answered also with the joint encoders."""
     return joints > 0 and counter % node.joint_decimation == 0
 
 
 def tension_code(tension: float) -> int:
-    """Return the 12-bit code of a tension [N]. 0 and 4095 mean saturated."""
+    """Return the 12-bit code of a tension [N].
+
+    The codes 0 and 4095 mean that the tension is saturated.
+    """
     return _code(tension, *TENSION)
 
 
@@ -150,10 +159,10 @@ def joint_code(angle: float) -> int:
 
 
 class Payloads:
-    """Encoder for the payloads of a number of channels."""
+    """Encoder that packs a fixed number of channels into payloads."""
 
     def __init__(self, channels: int) -> None:
-        """Allocate memory.
+        """Allocate memory for codes and payloads.
 
         Args:
             channels: number of channels.
@@ -164,49 +173,50 @@ class Payloads:
         self._sizes = [payload_size(channels - start) for start in starts]
 
     def of_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
-        """Pack a counter (low four bits) and codes, five to a payload, into the smallest payloads."""
+        """Pack a counter (low four bits) and codes into payloads of up to five codes, as short as possible."""
         self._codes[:] = codes
         _pack(counter, self._codes, self._words)
         return self._cut()
 
     def of_values(self, counter: int, values: Any, low: float, step: float, offset: int) -> list[bytes]:
-        """Encode and pack values. See ``encode``."""
+        """Encode values and pack the codes into payloads. See ``encode``."""
         encode(values, low, step, offset, counter, self._codes, self._words)
         return self._cut()
 
     def _cut(self) -> list[bytes]:
-        """Convert the words to bytes and cut unused bytes."""
+        """Convert the payloads from integers to bytes, without unused bytes."""
         raw = self._words.astype("<i8", copy=False).tobytes()
         return [raw[8 * g : 8 * g + size] for g, size in enumerate(self._sizes)]
 
 
 def pack(counter: int, codes: Sequence[int]) -> bytes:
-    """Pack a counter (low four bits) and up to five codes into the smallest payload."""
+    """Pack a counter (low four bits) and up to five codes into one payload, as short as possible."""
     (payload,) = Payloads(len(codes)).of_codes(counter, codes)
     return payload
 
 
 class SensorNode:
-    """The sensor node.
+    """The simulated sensor node of a hand.
 
     Attributes:
-        bias: bias of each load cell [N].
-        cell_faults: change of the reading of load cells, by channel.
-        joint_faults: change of the reading of joint encoders, by channel.
-        suppressed: function that is called in place of sending a frame, by the frame's identifier.
-        ids: identifier of SYNC.
-        malformed: SYNC frames of a wrong length.
-        wake_ns: never.
+        bias: present bias of each load cell [N].
+        cell_faults: function that changes the reading of a load cell, by channel.
+        joint_faults: function that changes the reading of a joint encoder, by channel.
+        suppressed: functions by the identifier of a frame. The function is called instead of
+            sending the frame.
+        ids: set with the identifier of SYNC.
+        malformed: number of SYNC frames of a wrong length.
+        wake_ns: a time that is never reached, because the node need not be woken.
     """
 
     def __init__(self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int) -> None:
-        """Set up the node.
+        """Set up the sensor node.
 
         Args:
-            spec: description of the node.
-            tensions: returns the true tensions [N] in the order of the channels.
-            angles: returns the true joint angles [rad] in the order of the channels.
-            seed: seed of the noise.
+            spec: description of the sensor node.
+            tensions: function that returns the true tensions [N] in the order of the channels.
+            angles: function that returns the true joint angles [rad] in the order of the channels.
+            seed: seed of the noise of all readings.
         """
         self._spec = spec
         self._tensions = tensions
@@ -230,23 +240,23 @@ class SensorNode:
 
     @property
     def nodes(self) -> list["SensorNode"]:
-        """Return the nodes on the wire: this one."""
+        """Return the nodes on the bus. The sensor node is a single node."""
         return [self]
 
     def frame_of_cell(self, index: int) -> int:
-        """Return the identifier of the frame with a load cell."""
+        """Return the identifier of the frame with the reading of a load cell."""
         return self._spec.base_id + index // CHANNELS
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames that the node receives in every tick."""
+        """Return the identifiers of the frames for the node in every tick."""
         return (self._spec.sync_id,)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Answer SYNC with tension frames, and with joint frames if they are due.
+        """Answer a SYNC frame with tension frames, and with joint frames if these are due.
 
         Returns:
-            The answers, None if the frame is not SYNC.
+            The answers, None if the frame is not a SYNC frame.
         """
         if frame.can_id != self._spec.sync_id:
             return None
@@ -264,33 +274,33 @@ class SensorNode:
         return self._audible(sent) if self.suppressed else sent
 
     def _audible(self, frames: list[Frame]) -> list[Frame]:
-        """Return the frames that are not suppressed by a fault."""
+        """Return the frames that no fault suppresses."""
         for frame in frames:
             if frame.can_id in self.suppressed:
                 self.suppressed[frame.can_id]()
         return [frame for frame in frames if frame.can_id not in self.suppressed]
 
     def _sample(self, t_ns: int) -> Any:
-        """Sample the load cells [N]."""
+        """Sample the load cells and return their readings [N]."""
         drift = drift_since(self, t_ns)
         normal = self.noise.take(2 * len(self.bias))
         read_cells(self._tensions(), self.bias, normal, drift, self.tension_noise, self._values)
         return _with_faults(self._values, self.cell_faults)
 
     def wake(self, t_ns: int) -> None:
-        """Do nothing, because this node acts on SYNC only."""
+        """Do nothing, because this node acts only on SYNC."""
 
 
 class SensorNodeRow(SensorStruct, SensorNode):
-    """A sensor node whose numbers are in memory for compiled kernels."""
+    """A sensor node whose numbers are kept in a row of an array, for compiled kernels."""
 
     def prepare(self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int) -> None:
-        """Initialize the node. See ``SensorNode``."""
+        """Initialize the row of the node. See ``SensorNode``."""
         SensorNode.__init__(self, spec, tensions, angles, seed)
 
 
 def _with_faults(readings: Any, faults: dict[int, Callable[[float], float]]) -> Any:
-    """Apply the faults of channels to readings."""
+    """Apply the faults of single channels to readings."""
     for i, fault in sorted(faults.items()):
         readings[i] = fault(float(readings[i]))
     return readings

@@ -1,1 +1,4 @@
-"""The mechanics: links and contacts by MuJoCo, tendons and rotors by this package."""
+"""The mechanics of the simulated hand.
+
+MuJoCo computes links and contacts, this package tendons and rotors.
+"""

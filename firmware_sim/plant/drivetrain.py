@@ -1,11 +1,11 @@
-"""Kernels of tendons, rotors and servos for one step, in scalar arithmetic.
+"""Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
-Tendons and rotors are rows of an array in compiled kernels, and objects of a list in Python. Both
-forms have the same attributes.
+In compiled kernels, tendons and rotors are rows of an array. In Python, they are objects in a list.
+Both forms have the same attributes.
 
-Tendon damping and Coulomb-like capstan friction are too steep for an explicit step of the light
-links. The engine integrates their slope implicitly as damping of the tendon. The torque of this
-damping is added back, so that only the exact friction remains.
+Tendon damping and Coulomb-like capstan friction rise too steeply with speed for an explicit step of
+the light links. Therefore the engine integrates the slope of both implicitly, as a damping of the
+tendon. The kernels then add the torque of this damping back, and only the exact friction remains.
 """
 
 import math
@@ -17,24 +17,30 @@ from firmware_sim.compiled import call, compiled, inner, rows_at
 from firmware_sim.plant.structs import RotorStruct, TendonStruct
 
 CAPSTAN_SPEED = 1e-3
-"""Tendon speed at which friction is 76 % developed [m/s]. Source: MODEL, section 3, v0."""
+"""Tendon speed at which capstan friction reaches 76 % of its final value [m/s].
+
+Source: MODEL, section 3, v0.
+"""
 COULOMB_SPEED = 0.05
-"""Spool speed at which Coulomb friction is 76 % developed [rad/s], 0.25 mm/s of tendon."""
+"""Spool speed at which Coulomb friction reaches 76 % of its final value [rad/s].
+
+The tendon then moves at 0.25 mm/s.
+"""
 ENCODER_STEP = 2.0 * math.pi / (1 << 14)
-"""Encoder resolution: 14 bit for one turn of the spool [rad]. Source: MODEL, section 4."""
+"""Resolution of the encoder [rad]: 14 bits for one turn of the spool. Source: MODEL, section 4."""
 DIVERGED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
 PULLEY = 10
-"""Numbers of a pulley in ``arms``, see ``tendon.PULLEY``."""
+"""Count of numbers that each pulley has in ``arms``, see ``tendon.PULLEY``."""
 
 DRIVETRAIN = (TendonStruct, "counts", "vector", RotorStruct)
-"""Argument types: tendons, joint index and numbers of each pulley tendon by tendon, rotors."""
+"""Types of the kernel arguments: tendons, joint index of each pulley, numbers of each pulley, rotors."""
 
 
 @inner
 def _arm_at(arms: Any, i: int, q: float) -> float:
-    """Return the moment arm of pulley i at a joint angle [m]."""
+    """Return the moment arm [m] of pulley i at a joint angle [rad]."""
     at = PULLEY * i
     if arms[at + 1] == 0.0:
         return float(arms[at])
@@ -49,7 +55,7 @@ def _arm_at(arms: Any, i: int, q: float) -> float:
 
 @inner
 def _taken_up(arms: Any, i: int, q: float) -> float:
-    """Return the length that pulley i takes up from angle 0 to a joint angle [m]."""
+    """Return the tendon length [m] that pulley i takes up between joint angle 0 and a joint angle [rad]."""
     at = PULLEY * i
     if arms[at + 1] == 0.0:
         return float(arms[at] * q)
@@ -59,16 +65,18 @@ def _taken_up(arms: Any, i: int, q: float) -> float:
     for k in range(4, PULLEY):
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
-    # The arm is constant beyond the limits.
+    # Beyond the limits of the angle, the arm is constant.
     return float(length + _arm_at(arms, i, q) * (q - angle))
 
 
 @inner
 def _elastic(tendon: Any, stretch: float) -> float:
-    """Compute the elastic tension [N] at a stretch [m]: linear, then softer beyond the knee.
+    """Compute the elastic tension [N] of a tendon at a stretch [m].
 
-    Source: MODEL, section 3, ``phi``. The softening is a parameter, because the paper prints no
-    curve.
+    Above the knee, the tendon becomes softer.
+
+    Source: MODEL, section 3, ``phi``. The degree of softening is a parameter, because the paper
+    prints no curve.
     """
     if stretch <= 0.0:
         return 0.0
@@ -82,17 +90,18 @@ def _elastic(tendon: Any, stretch: float) -> float:
 
 @inner
 def _secant(tendon: Any, loss: float, tension_angle: float) -> float:
-    """Compute friction divided by speed [N s/m].
+    """Compute the friction of a tendon divided by the speed of the tendon [N s/m].
 
-    The secant replaces the tangent, because the tangent lets friction reverse a light link.
+    This secant is used instead of the tangent. With the tangent, friction would reverse the motion
+    of a light link.
 
     Args:
-        tendon: the tendon.
-        loss: loss of tension by friction [N].
-        tension_angle: tension times wrap angle [N rad].
+        tendon: the tendon with its present speed.
+        loss: loss of tension that friction causes [N].
+        tension_angle: tension of the tendon times its wrap angle [N rad].
     """
     speed = abs(tendon.speed)
-    # Limit of the secant at rest, where the quotient would be 0/0.
+    # This is the limit of the secant at rest, where the quotient would be 0/0.
     if speed < 1e-3 * CAPSTAN_SPEED:
         return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
     return float(loss / speed)
@@ -100,7 +109,7 @@ def _secant(tendon: Any, loss: float, tension_angle: float) -> float:
 
 @inner
 def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any) -> float:
-    """Compute the tension at the load cell [N]."""
+    """Compute the tension of a tendon at its load cell [N]."""
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     rate = tendon.radius * rotor.omega
     for i in range(tendon.first, tendon.end):
@@ -113,10 +122,12 @@ def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
 
 @inner
 def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> None:
-    """Add the joint torques of a taut tendon to ``torque`` [N m] and set the tendon's slope.
+    """Add the joint torques of a taut tendon to ``torque`` [N m].
 
-    The tension at a pulley is reduced by the wrap up to and including this pulley. Source: MODEL,
-    section 3.
+    Set the slope of the tendon's friction.
+
+    Friction reduces the tension at a pulley by the wrap angle up to and including this pulley.
+    Source: MODEL, section 3.
     """
     tension = tendon.tension
     angle = tendon.wrap
@@ -125,8 +136,8 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
     highest = tension
     for i in range(tendon.first, tendon.end):
         angle += q[joints[i]]
-        # Capstan equation. A positive speed means motion towards the spool: friction lowers the
-        # tension behind a pulley.
+        # This is the capstan equation. At positive speed, the tendon moves towards the spool, and
+        # friction lowers the tension behind a pulley.
         local = tension * math.exp(-rate * angle)
         torque[joints[i]] += _arm_at(arms, i, q[joints[i]]) * local
         if local < lowest:
@@ -141,14 +152,15 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
 def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any, torque: Any) -> None:
     """Add the joint torques of a tendon to ``torque`` [N m].
 
-    Sets tension, speed and slope of the tendon, and adds to the load of its rotor.
+    The kernel also sets tension, speed and slope of the tendon, and adds the tendon's torque to the
+    load of its rotor.
     """
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     speed = 0.0
     for i in range(tendon.first, tendon.end):
         stretch -= _taken_up(arms, i, q[joints[i]])
-        # Stretch is the excursion of the spool minus those of the joints. A positive spool angle
-        # winds the tendon, a positive joint angle closes the digit.
+        # The stretch is the excursion of the spool minus those of the joints. A positive spool
+        # angle winds the tendon, a positive joint angle closes the digit.
         speed += _arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     tension = 0.0
     if stretch > 0.0:
@@ -164,9 +176,9 @@ def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
 
 @inner
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
-    """Add the torque of the engine's tendon damping back to ``torque`` [N m].
+    """Add to ``torque`` [N m] the torque that the engine will subtract as damping of the tendon.
 
-    The engine has the mean arms.
+    The engine computes this damping with the mean moment arms.
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
@@ -192,23 +204,26 @@ def measure_angle(rotor: Any) -> None:
 def within_speed(
     rotor: Any, command: float, inertia: float, drag: float, speed: float, slope: float, brakes: bool
 ) -> float:
-    """Limit a torque command [N m] between slope (-speed - omega) and slope (speed - omega).
+    """Limit a torque command [N m] to the range from slope (-speed - omega) to slope (speed - omega).
 
-    The limits hold at the velocity at the end of the step, like the command of the servo.
+    Here omega is the velocity at the end of the step, as for the command of the servo.
 
     Args:
         rotor: the rotor.
         command: torque command [N m].
-        inertia: inertia divided by step, plus the slope of the friction [N m s/rad].
-        drag: load plus Coulomb friction [N m].
+        inertia: inertia of the rotor divided by the step, plus the slope of the friction [N m
+            s/rad].
+        drag: load of the rotor plus Coulomb friction [N m].
         speed: speed at which the limit is zero [rad/s].
-        slope: decrease of the limit with the speed [N m s/rad].
-        brakes: True if the limit brakes a faster rotor, False if the rotor then coasts.
+        slope: decrease of the torque limit with the speed [N m s/rad].
+        brakes: True if the limit brakes a rotor above ``speed``, False if such a rotor turns
+            freely.
     """
     sign = 1.0 if rotor.gain > 0.0 else -1.0
     mass = inertia + rotor.viscous
     push = inertia * rotor.omega + rotor.gain * (1.0 - rotor.lag) * rotor.torque - drag
-    # Solution of limit = slope (+-speed - omega), with omega = (push + gain lag limit) / mass.
+    # These are the solutions of limit = slope (+-speed - omega), with omega = (push + gain lag
+    # limit) / mass.
     scale = mass + slope * abs(rotor.gain) * rotor.lag
     highest = (slope * speed * mass - sign * slope * push) / scale
     lowest = (-slope * speed * mass - sign * slope * push) / scale
@@ -220,24 +235,25 @@ def within_speed(
 
 @inner
 def compute_command(rotor: Any) -> None:
-    """Compute the servo's torque command [N m] for the velocity at the end of the step, within the limit.
+    """Compute the limited torque command [N m] of the servo, from the velocity at the end of the step.
 
-    The drive's loop runs at 10 to 20 kHz. The implicit form keeps gains stable that are stable in
-    the drive.
+    The control loop of a real drive runs at 10 to 20 kHz. With the implicit form, all gains stable
+    in the drive are stable here.
     """
     servo = rotor.servo_row
     lag = rotor.lag
     gain = rotor.gain
     bend = math.tanh(rotor.omega / COULOMB_SPEED)
-    # Derivative of the smoothed Coulomb friction, taken into the implicit part.
+    # The slope is the derivative of the smoothed Coulomb friction. It is a part of the implicit
+    # step.
     slope = rotor.coulomb * (1.0 - bend * bend) / COULOMB_SPEED
     inertia = rotor.inertia / rotor.step + slope
     drag = rotor.load + rotor.coulomb * bend
     command = servo.torque
     limit = servo.limit
     if servo.kp != 0.0 or servo.kd != 0.0:
-        # Split the command at the end of the step into a part that does not depend on the new
-        # velocity, and a part that does.
+        # The command at the end of the step has a fixed part, and a part that depends on the new
+        # velocity.
         fixed = command + servo.kp * (servo.position - rotor.angle) + servo.kd * servo.velocity
         impedance = servo.kd + rotor.step * servo.kp
         push = inertia * rotor.omega + gain * ((1.0 - lag) * rotor.torque + lag * fixed) - drag
@@ -249,7 +265,8 @@ def compute_command(rotor: Any) -> None:
     if servo.speed_gain > 0.0:
         command = within_speed(rotor, command, inertia, drag, servo.speed_limit, servo.speed_gain, True)
     if rotor.top_speed > 0.0:
-        # Back-EMF: the voltage left for the current falls linearly to zero at no-load speed.
+        # The back-EMF reduces the voltage that drives the current, linearly down to zero at the
+        # no-load speed.
         slope = rotor.stall_torque / rotor.top_speed
         command = within_speed(rotor, command, inertia, drag, rotor.top_speed, slope, False)
     rotor.command = command
@@ -259,11 +276,11 @@ def compute_command(rotor: Any) -> None:
 
 @inner
 def integrate(rotor: Any) -> None:
-    """Integrate current, rotor and velocity estimate over one step, semi-implicitly."""
+    """Integrate torque, rotor and velocity estimate of a motor over one step, semi-implicitly."""
     torque = rotor.torque + rotor.lag * (rotor.command - rotor.torque)
     push = rotor.impedance * rotor.omega + rotor.gain * torque - rotor.drag
     omega = push / (rotor.impedance + rotor.viscous)
-    # Rotor angle last: it uses the new velocity (semi-implicit Euler).
+    # The rotor angle comes last, because it uses the new velocity (semi-implicit Euler).
     rotor.torque = torque
     rotor.omega = omega
     rotor.theta += rotor.step * omega
@@ -273,16 +290,16 @@ def integrate(rotor: Any) -> None:
 
 @compiled(*DRIVETRAIN, "vector", "vector", "vector")
 def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, out: Any) -> None:
-    """Compute the present tension of each tendon at its load cell into ``out`` [N].
+    """Write the present tension of each tendon at its load cell to ``out`` [N].
 
     Args:
-        tendons: tendons.
+        tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley.
-        rotors: rotors.
+        arms: numbers of each pulley, see ``tendon.PULLEY``.
+        rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
-        out: shape (tendons,) [N].
+        out: tension of each tendon, written by the kernel, shape (tendons,) [N].
     """
     for i in range(len(tendons)):
         out[i] = _cell_tension(tendons[i], joints, arms, rotors[tendons[i].motor], q, dq)
@@ -292,18 +309,21 @@ def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any,
 def step_drivetrain(
     tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any, all_rotors: bool
 ) -> None:
-    """Compute one step without the engine. See ``_steps``.
+    """Compute the part of a step that is not done by the engine: tendons and rotors.
+
+    See ``_steps``.
 
     Args:
-        tendons: tendons.
+        tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley.
-        rotors: rotors.
+        arms: numbers of each pulley, see ``tendon.PULLEY``.
+        rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
-        torque: joint torques, output [N m].
-        damping: damping of each tendon, output [N s/m].
-        all_rotors: True to step the rotors with ``steps_alone`` as well.
+        torque: joint torques, written by the kernel [N m].
+        damping: damping of each tendon, written by the kernel [N s/m].
+        all_rotors: True to step all rotors. If it is False, the rotors with ``steps_alone`` are
+            left out.
     """
     for i in range(len(torque)):
         torque[i] = 0.0
@@ -311,7 +331,8 @@ def step_drivetrain(
         rotors[i].load = 0.0
     for i in range(len(tendons)):
         tendon = tendons[i]
-        # Two antagonistic tendons of one spool pull against each other: their loads have opposite signs.
+        # Two antagonistic tendons on one spool pull against each other, so their loads have
+        # opposite signs.
         _apply_tendon(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
         _compensate_damping(tendon, joints, arms, dq, torque)
         damping[i] = tendon.slope
@@ -332,21 +353,21 @@ def _steps(
 
     Args:
         count: number of steps.
-        tendons: tendons.
+        tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley.
-        rotors: rotors.
-        q: joint angles, memory of the engine [rad].
-        dq: joint velocities, memory of the engine [rad/s].
-        torque: torques on the joints, memory of the engine [N m].
-        damping: damping of the tendons, memory of the engine [N s/m].
+        arms: numbers of each pulley, see ``tendon.PULLEY``.
+        rotors: rotors of the motors.
+        q: joint angles in the memory of the engine [rad].
+        dq: joint velocities in the memory of the engine [rad/s].
+        torque: joint torques in the memory of the engine [N m].
+        damping: damping of the tendons in the memory of the engine [N s/m].
         step: address of the engine's step function.
-        model: address of its first argument.
-        data: address of its second argument.
+        model: address of the first argument of the step function.
+        data: address of the second argument of the step function.
 
     Returns:
-        Number of completed steps: fewer than ``count`` if the plant diverged, 0 if a motor has a
-            fault.
+        Number of completed steps. It is less than ``count`` if the plant has diverged, and 0 if a
+        motor has a fault.
     """
     for i in range(len(rotors)):
         if rotors[i].faulty:
@@ -355,7 +376,7 @@ def _steps(
         speeds = 0.0
         for speed in dq:
             speeds += speed
-        if not abs(speeds) < DIVERGED_RAD_S:  # This condition is also true for NaN.
+        if not abs(speeds) < DIVERGED_RAD_S:  # also true if the sum is NaN
             return done
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
         # mj_step of the engine reads and writes q, dq, torque and damping in place.
@@ -367,16 +388,19 @@ REAL = np.dtype(np.float64)
 COUNT = np.dtype(np.int64)
 TENDONS = np.dtype(TendonStruct)
 ROTORS = np.dtype(RotorStruct)
-"""Types of the arrays that ``steps`` makes from addresses."""
+"""Dtypes of the arrays that ``steps`` makes from addresses."""
 
 
 @compiled("count", "counts")
 def steps(count: int, at: Any) -> int:
-    """Integrate tendons, rotors and links over a number of steps. See ``_steps``.
+    """Integrate tendons, rotors and links over a number of steps, with arrays given by address.
+
+    See ``_steps``.
 
     Args:
         count: number of steps.
-        at: address and length of each array of ``_steps`` in order, then its last three arguments.
+        at: address and length of each array of ``_steps`` in their order, then the last three
+            arguments of ``_steps``.
 
     Returns:
         Number of completed steps.

@@ -1,4 +1,7 @@
-"""MuJoCo model of a hand and a scene as MJCF text. The world frame is the palm frame."""
+"""The MuJoCo model of a hand and a scene, as MJCF text.
+
+The world frame of the model is the palm frame.
+"""
 
 import math
 from collections.abc import Sequence
@@ -13,12 +16,15 @@ from firmware_sim.scene.scene import GraspObject, Scene, Support
 STEP_S = 0.5e-3
 """Time step of the plant [s]. Source: MODEL, section 6: 15 of 15 grasps hold at 0.5 ms with armature 1e-6 kg m2."""
 HAND_FRICTION = 0.5
-"""Sliding friction coefficient of links and palm in a scene without object."""
+"""Sliding friction coefficient of links and palm in scenes without an object."""
 
 OBJECT_BIT = 1
-"""Collision category of the object. Two geoms collide if the category of one is in the affinity of the other."""
+"""Collision category of the object.
+
+Two shapes collide if the category of one is in the affinity of the other.
+"""
 FINGER_BIT = 2
-"""Collision category of the digits on the first digit's side."""
+"""Collision category of the digits that close from the same side as the first digit."""
 OPPOSED_BIT = 4
 """Collision category of the digits that close against the first digit."""
 PALM_BIT = 8
@@ -26,22 +32,25 @@ PALM_BIT = 8
 TABLE_BIT = 16
 """Collision category of the table."""
 PALM_DEPTH = 0.02
-"""Depth of the palm [m].
+"""Depth of the palm box [m].
 
-The face of the palm is at the mount with the smallest x, usually at x = 0.
+The front face of the palm is at the digit mount with the smallest x, usually at x = 0.
 """
 PALM_MARGIN = 0.01
-"""Extent of the palm beyond the outermost mounts [m]."""
+"""Distance by which the palm extends beyond the outermost digit mounts [m]."""
 LINK_SAMPLES = 9
-"""Points along a link that are compared with the palm."""
+"""Number of points along a link for the check of overlap with the palm."""
 TABLE_HALF_EXTENTS = (0.12, 0.12, 0.005)
-"""Half extents of the table [m]."""
+"""Half extents of the table along x, y, z [m]."""
 VISUAL_GROUP = 2
-"""Group of meshes. Viewers show the groups 0 to 2."""
+"""MuJoCo group of the meshes. Viewers show the groups 0 to 2."""
 HIDDEN_GROUP = 3
-"""Group of the shapes of links with a mesh."""
+"""MuJoCo group of the shapes replaced by meshes in pictures. Viewers do not show this group."""
 MAX_CONTACTS = 16
-"""Contacts of one digit with the object that are measured, at most two for each link."""
+"""Maximum number of measured contacts between a digit and the object.
+
+MuJoCo makes at most two for each link.
+"""
 
 _OPTIONS = f"""
   <compiler angle="degree" eulerseq="XYZ" autolimits="true"/>
@@ -53,22 +62,23 @@ _OPTIONS = f"""
     <joint type="hinge" solreflimit="0.002 1" solimplimit="0.99 0.9999 0.001"/>
   </default>
 """
-"""Engine options and defaults. Source of the settings: see ``model_text``."""
+"""Options and defaults of the engine. For the source of the settings see ``model_text``."""
 
 
 def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
-    """Build the model as MJCF.
+    """Build the model of a hand and a scene as MJCF text.
 
-    Joints have the hand's order: the first entries of qpos and qvel are the joints, the object's
-    free joint follows. Contact is softer than in MODEL, section 6. With solref 0.002 the
-    penetration of a grasp is less than the error of the collision detector, and contacts vanish for
-    single steps. Source of the other settings: MODEL, section 6.
+    Joints have the order of the hand. They are the first entries of qpos and qvel, and the free
+    joint of the object follows. Contacts are softer than in MODEL, section 6. With the solref of
+    0.002 given there, the penetration in a grasp is less than the error of the collision detector.
+    Contacts would then vanish for single steps. Source of the other settings: MODEL, section 6.
 
     Args:
         hand: the hand.
-        scene: object and support.
-        meshes: True for a model to draw: links with a mesh show it, and their capsules are in the
-            hidden group. The meshes have neither mass nor contacts. The plant has none.
+        scene: object and support, as a scene file describes them.
+        meshes: True for a model that is drawn. Links with a mesh then show the mesh, and their
+            capsules are in the hidden group. Meshes have neither mass nor contacts. The plant uses
+            a model without meshes.
     """
     shown = {mesh.link: mesh for mesh in hand.meshes} if meshes else {}
     friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
@@ -89,13 +99,13 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 
 def opposed_digits(hand: Hand) -> list[bool]:
-    """Return True for each digit that closes against the first closing digit, such as the thumb."""
+    """Return True for each digit that closes against the first closing digit, as the thumb does."""
     first = _closing_direction(hand, hand.closing[0])
     return [float(first @ _closing_direction(hand, digit)) < 0.0 for digit in hand.digits]
 
 
 def _closing_direction(hand: Hand, digit: Digit) -> Any:
-    """Compute the y axis of the last link at rest, the side of flexion, in the palm frame."""
+    """Compute the direction in which a digit closes: the y axis of its last link at rest, in the palm frame."""
     direction = rest_poses(digit)[-1][1][:, 1]
     while digit.carrier:
         digit = next(one for one in hand.digits if one.name == digit.carrier)
@@ -104,10 +114,11 @@ def _closing_direction(hand: Hand, digit: Digit) -> Any:
 
 
 def rest_poses(digit: Digit) -> list[tuple[Any, Any]]:
-    """Compute the pose of each link with all joints at zero, in the frame of the palm or of the carrying link.
+    """Compute the pose of each link of a digit with all joints at zero.
 
     Returns:
-        Position of the joint, shape (3,) [m], and rotation, shape (3, 3), of each link.
+        Position of the joint, shape (3,) [m], and rotation, shape (3, 3), of each link. Both are
+        given in the palm frame, or in the frame of the link that carries the digit.
     """
     position = np.array(digit.position)
     rotation = _rotation(digit.rpy_deg)
@@ -120,7 +131,7 @@ def rest_poses(digit: Digit) -> list[tuple[Any, Any]]:
 
 
 def _rotation(rpy_deg: Sequence[float]) -> Any:
-    """Compute the rotation of extrinsic roll, pitch and yaw [deg], shape (3, 3)."""
+    """Compute the rotation matrix of extrinsic roll, pitch and yaw [deg], shape (3, 3)."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle), math.cos(angle)) for angle in map(math.radians, rpy_deg))
     x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
@@ -133,14 +144,14 @@ def _text(values: Sequence[float]) -> str:
 
 
 def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
-    """Compute the palm: a square box behind the mounts of all digits on a link.
+    """Compute the box of a palm: a square box behind the mounts of all digits that a link carries.
 
     Args:
         hand: the hand.
-        carrier: digit whose last link carries the digits, empty for the palm.
+        carrier: name of the digit whose last link carries the digits, empty for the palm.
 
     Returns:
-        Centre and half extents, shape (3,) each [m].
+        Centre and half extents of the box, shape (3,) each [m].
     """
     mounts = np.array([digit.position for digit in hand.carried_by(carrier)])
     low = mounts.min(axis=0)
@@ -152,10 +163,11 @@ def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
 
 
 def _mesh_assets(shown: dict[str, LinkMesh]) -> str:
-    """Build the assets of the meshes, empty without meshes."""
+    """Build the MJCF assets of the meshes, an empty text without meshes."""
     if not shown:
         return ""
-    # The inertia of a shell is also defined for open surfaces, and has no effect.
+    # Inertia "shell" is also defined for open surfaces. It has no effect, because meshes have no
+    # mass.
     meshes = "".join(
         f'<mesh name="{link}" file={quoteattr(mesh.file)} scale="{_text(mesh.scale)}" inertia="shell"/>'
         for link, mesh in shown.items()
@@ -164,7 +176,10 @@ def _mesh_assets(shown: dict[str, LinkMesh]) -> str:
 
 
 def _mesh_geom(mesh: LinkMesh | None) -> str:
-    """Build the shape of a mesh without mass and contacts, empty without mesh."""
+    """Build the MJCF shape of a mesh, which has neither mass nor contacts.
+
+    Without a mesh, the text is empty.
+    """
     if mesh is None:
         return ""
     return (
@@ -174,7 +189,7 @@ def _mesh_geom(mesh: LinkMesh | None) -> str:
 
 
 def _palm(hand: Hand, carrier: str, opposed: dict[str, bool], shown: dict[str, LinkMesh]) -> str:
-    """Build the palm, or the box on the last link of a digit, with the digits on it."""
+    """Build the palm, or the box on the last link of a carrying digit, with all digits on it."""
     centre, half = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"
     link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
@@ -193,14 +208,17 @@ def _last_link(hand: Hand, name: str) -> int:
 
 
 def _hidden_if(has_mesh: bool) -> str:
-    """Return the attribute of a shape that a mesh replaces in pictures, empty without mesh."""
+    """Return the attribute for hiding a shape replaced by a mesh in pictures.
+
+    Without a mesh, the text is empty.
+    """
     return f' group="{HIDDEN_GROUP}"' if has_mesh else ""
 
 
 def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
-    """Return, for each link of a digit, True if it overlaps at rest with the palm or the link that carries it.
+    """Return True for each link of a digit that overlaps at rest with the palm or the carrying link.
 
-    Such a link is hinged close to the palm and does not collide with it.
+    These links are hinged close to the palm. The model excludes their collisions with the palm.
     """
     centre, half = palm_box(hand, digit.carrier)
     carrier = [one for one in hand.digits if one.name == digit.carrier]
@@ -211,7 +229,7 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
         outside = np.maximum(np.abs(points - centre) - half, 0.0)
         overlap = bool((np.linalg.norm(outside, axis=1) <= digit.radius).any())
         for one in carrier:
-            # The carrying link is a capsule along x of this frame.
+            # The carrying link is a capsule along the x axis of this frame.
             nearest = np.clip(points[:, :1], 0.0, one.length[-1]) * np.array([1.0, 0.0, 0.0])
             overlap |= bool((np.linalg.norm(points - nearest, axis=1) <= digit.radius + one.radius).any())
         overlaps.append(overlap)
@@ -219,7 +237,10 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
 
 
 def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool], shown: dict[str, LinkMesh]) -> str:
-    """Build the nested bodies of a digit. Each link lies along its x axis with the hinge at its origin."""
+    """Build the nested bodies of a digit.
+
+    Each link lies along the x axis of the link's frame, with the hinge at the origin.
+    """
     opening = f'<frame pos="{_text(digit.position)}" euler="{_text(digit.rpy_deg)}">'
     closing = "</frame>"
     near_palm = touches_palm(hand, digit)
@@ -229,7 +250,7 @@ def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool], shown: dict[str, 
         offset = f"{digit.length[i - 1] if i else 0.0} 0 0"
         opening += f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_text(turn)}">'
         bits = _carrier_bits() if carries else _digit_bits(opposed[digit.name], near_palm[i])
-        # The link that carries the box ends at the face of the box.
+        # A link that carries other digits ends at the face of the box with their mounts.
         length = max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
         mesh = shown.get(f"{digit.name}_link{i + 1}")
         body = _body(digit, i, length, bits, mesh is not None)
@@ -239,24 +260,25 @@ def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool], shown: dict[str, 
 
 
 def _digit_bits(opposed: bool, near_palm: bool) -> tuple[int, int]:
-    """Return category and affinity of a link.
+    """Return collision category and affinity of a link.
 
-    A digit touches the object, the opposed digits, and the palm with the links away from it.
+    All links of a digit touch the object and the opposed digits. Only links away from the palm
+    touch the palm.
     """
     category, opposite = (OPPOSED_BIT, FINGER_BIT) if opposed else (FINGER_BIT, OPPOSED_BIT)
     return category, OBJECT_BIT | opposite | (0 if near_palm else PALM_BIT)
 
 
 def _carrier_bits() -> tuple[int, int]:
-    """Return category and affinity of a link of a digit that carries other digits.
+    """Return collision category and affinity of the links of a digit that carries other digits.
 
-    Both are equal to category and affinity of the palm.
+    These links have the same category and affinity as the palm.
     """
     return PALM_BIT, OBJECT_BIT
 
 
 def _joint(digit: Digit, i: int) -> str:
-    """Build the joint of link i."""
+    """Build the joint of link ``i`` of a digit."""
     return (
         f'<joint name="{digit.joints[i]}" axis="{_text(digit.axis[i])}"'
         f' range="{digit.joint_min_deg[i]} {digit.joint_max_deg[i]}" damping="{digit.damping[i]}"'
@@ -265,7 +287,7 @@ def _joint(digit: Digit, i: int) -> str:
 
 
 def _body(digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: bool) -> str:
-    """Build inertia and collision geometry of link i: a capsule of a length [m], or a ball without length."""
+    """Build inertia and collision shape of link ``i``: a capsule of a length [m], or a ball if the length is 0."""
     moments = digit.inertia[i]
     inertia = f'fullinertia="{_text(moments)}"' if any(moments[3:]) else f'diaginertia="{_text(moments[:3])}"'
     shape = f'type="capsule" fromto="0 0 0 {length} 0 0"' if length else 'type="sphere"'
@@ -277,18 +299,24 @@ def _body(digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: 
 
 
 def _tendon(tendon: TendonSpec) -> str:
-    """Build a tendon without stiffness. The plant sets its damping at each step, see ``drivetrain``."""
+    """Build a tendon without stiffness.
+
+    The plant sets the damping of the tendon in each step, see ``drivetrain``.
+    """
     joints = "".join(f'<joint joint="{name}" coef="{arm}"/>' for name, arm in tendon.arms.items())
     return f'<fixed name="{tendon.name}" damping="{tendon.damping}">{joints}</fixed>'
 
 
 def _contact(hand: Hand, digit: Digit) -> str:
-    """Build the sensor of the net contact force on a digit."""
+    """Build the sensor that measures the net contact force on a digit."""
     return f'<contact name="contact/{digit.name}" {_touching(hand, digit)} num="1" reduce="netforce" data="force"/>'
 
 
 def _normal(hand: Hand, digit: Digit) -> str:
-    """Build the sensor of the contacts between a digit and the object. Axis 1 of a contact frame is the normal."""
+    """Build the sensor that measures the contact forces between a digit and the object.
+
+    Axis 1 of each is the normal.
+    """
     return (
         f'<contact name="normal/{digit.name}" {_touching(hand, digit)} geom2="object" num="{MAX_CONTACTS}"'
         ' reduce="maxforce" data="force"/>'
@@ -296,14 +324,14 @@ def _normal(hand: Hand, digit: Digit) -> str:
 
 
 def _touching(hand: Hand, digit: Digit) -> str:
-    """Return the bodies of a digit for a contact sensor: all links, or the last one without the digits on it."""
+    """Return the bodies of a digit for a contact sensor: all links, or only the last link of a carrying digit."""
     if hand.carried_by(digit.name):
         return f'body1="{digit.name}_link{len(digit.length)}"'
     return f'subtree1="{digit.name}_link1"'
 
 
 def _grasp_object(grasp_object: GraspObject) -> str:
-    """Build the free body of the object."""
+    """Build the object as a free body."""
     half = tuple(extent / 2.0 for extent in grasp_object.size)
     size = {"cylinder": (half[0], half[2]), "sphere": half[:1], "box": half}[grasp_object.shape]
     return (
@@ -314,7 +342,7 @@ def _grasp_object(grasp_object: GraspObject) -> str:
 
 
 def _table(grasp_object: GraspObject, support: Support | None) -> str:
-    """Build the body of the table, empty without support."""
+    """Build the body of the table, an empty text for a scene without support."""
     if support is None:
         return ""
     x, y, z = table_position(grasp_object)
@@ -326,7 +354,7 @@ def _table(grasp_object: GraspObject, support: Support | None) -> str:
 
 
 def shapes(scene: Scene) -> dict[str, dict[str, object]]:
-    """Return shape and extents [m] of object and table, and the table's position [m], for those who draw them."""
+    """Return shape and extents [m] of object and table, and the position of the table [m], for drawing them."""
     if scene.grasp_object is None:
         return {}
     grasp_object: dict[str, object] = {"shape": scene.grasp_object.shape, "size_m": scene.grasp_object.size}

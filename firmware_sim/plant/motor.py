@@ -1,7 +1,7 @@
-"""One motor: the rotor at the spool and the servo inside its drive, integrated with the plant's step.
+"""A motor: the rotor at the spool and the servo of the drive, integrated with the step of the plant.
 
 The control loop of a real drive (10 to 20 kHz) is faster than the step of the plant. The simulation
-integrates the loop implicitly, so that gains that are stable in the drive are also stable in the
+integrates the loop implicitly. Gains that are stable in the drive are thus stable in the
 simulation, without sub-steps.
 """
 
@@ -15,13 +15,13 @@ from firmware_sim.plant.drivetrain import compute_command, encoded, integrate, m
 from firmware_sim.plant.structs import RotorStruct, Servo
 
 CURRENT_LAG_S = 0.3e-3
-"""Time constant of the current loop [s], for a bandwidth of about 500 Hz."""
+"""Time constant of the drive's current loop [s], for a bandwidth of about 500 Hz."""
 VELOCITY_LAG_S = 1e-3
 """Time constant of the drive's velocity estimate [s]."""
 
 
 def step_factors(step_s: float) -> tuple[float, float, float]:
-    """Compute step [s], current lag and velocity lag of a motor for a step length [s].
+    """Compute step [s], current lag and velocity lag of a motor for a length of the step [s].
 
     A lag is the fraction by which a first-order filter approaches its input in one step.
     """
@@ -32,33 +32,33 @@ class Motor:
     """The rotor of one motor. The kernels of a motor are in ``drivetrain``.
 
     Attributes:
-        theta: spool angle, positive winds [rad].
-        omega: spool velocity [rad/s].
-        torque: torque that the drive derives from its current [N m].
-        velocity: velocity estimate of the drive [rad/s].
-        heat: integral of the squared torque since the node's last thermal update [N2 m2 s].
-        servo: setpoints and gains that the drive regulates. A fault can replace it by another
-            motor's.
-        servo_row: the same values in the memory of the rotor, for kernels.
+        theta: spool angle, positive in the winding direction [rad].
+        omega: angular velocity of the spool [rad/s].
+        torque: torque, as derived by the drive from the current [N m].
+        velocity: angular velocity that the drive estimates [rad/s].
+        heat: integral of the squared torque since the node last updated its temperatures [N2 m2 s].
+        servo: setpoints and gains of the drive. A fault can put the values of another motor here.
+        servo_row: setpoints and gains in the memory of the rotor, for kernels.
         inertia: inertia of the rotor [kg m2].
-        viscous: viscous friction [N m s/rad].
-        coulomb: Coulomb friction [N m].
-        gain: true torque divided by the torque that the drive believes.
-        top_speed: no-load speed [rad/s], 0 for a motor without a speed limit.
+        viscous: viscous friction of the rotor [N m s/rad].
+        coulomb: Coulomb friction of the rotor [N m].
+        gain: true torque divided by the torque that the drive derives from its current.
+        top_speed: speed of the motor without load [rad/s], 0 for a motor without a speed limit.
         stall_torque: torque at standstill if only the supply voltage limited it [N m].
-        step: step of the plant [s].
+        step: time step of the plant [s].
         lag: fraction by which the current approaches its command in one step.
-        velocity_lag: fraction by which the estimate approaches the velocity in one step.
-        load: torque of the tendon [N m].
+        velocity_lag: fraction by which the estimated velocity approaches the true velocity in one
+            step.
+        load: torque of the tendons on the spool [N m].
         angle: spool angle as measured by the servo [rad].
         command: torque command of the current loop [N m].
         drag: load plus Coulomb friction [N m].
-        impedance: inertia divided by step, plus the slope of the friction [N m s/rad].
+        impedance: inertia divided by the step, plus the slope of the friction [N m s/rad].
         steps_alone: True if the rotor is stepped by Python and not by ``step_drivetrain``.
-        number: row among the rotors of a hand.
-        encoder_fault: change of the measured angle [rad], None without fault.
-        power_stage_fault: change of the torque command [N m], None without fault.
-        faulty: True with a fault of encoder or power stage.
+        number: row of the rotor among all rotors of a hand.
+        encoder_fault: function that changes the measured angle [rad], None without a fault.
+        power_stage_fault: function that changes the torque command [N m], None without a fault.
+        faulty: True if the encoder or the power stage has a fault.
     """
 
     servo_row: Servo
@@ -70,14 +70,14 @@ class Motor:
         """Set up the rotor at rest.
 
         Args:
-            spec: the motor.
-            step_s: step of the plant [s].
+            spec: description of the motor.
+            step_s: time step of the plant [s].
         """
         self.servo_row = Servo()
         self._describe(spec, step_s)
 
     def _describe(self, spec: MotorSpec, step_s: float) -> None:
-        """Set the parameters and the state at rest."""
+        """Set the parameters of the motor, and its state at rest."""
         self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
         self.inertia = spec.inertia
         self.viscous = spec.viscous
@@ -94,7 +94,7 @@ class Motor:
 
     @property
     def encoder_fault(self) -> Callable[[float], float] | None:
-        """Return the fault of the encoder."""
+        """Return the function that changes the measured angle, None without a fault."""
         return self._encoder_fault
 
     @encoder_fault.setter
@@ -104,7 +104,7 @@ class Motor:
 
     @property
     def power_stage_fault(self) -> Callable[[float], float] | None:
-        """Return the fault of the power stage."""
+        """Return the function that changes the torque command, None without a fault."""
         return self._power_stage_fault
 
     @power_stage_fault.setter
@@ -113,22 +113,22 @@ class Motor:
         self.faulty = fault is not None or self._encoder_fault is not None
 
     def set_step(self, step_s: float) -> None:
-        """Set the length of the next steps [s]."""
+        """Set the time step of the next steps [s]."""
         self.step, self.lag, self.velocity_lag = step_factors(step_s)
 
     def encoder(self) -> float:
-        """Return the spool angle as measured by the drive [rad]."""
+        """Return the spool angle as the drive measures it [rad]."""
         angle = encoded(self.theta)
         encoder_fault = self._encoder_fault
         return encoder_fault(angle) if encoder_fault else angle
 
     def advance(self, load: float) -> None:
-        """Integrate one step against a tendon torque [N m], semi-implicitly."""
+        """Integrate the motor over one step against a tendon torque [N m], semi-implicitly."""
         self.load = load
         self.step_alone()
 
     def step_alone(self) -> None:
-        """Integrate one step against the present load, with the faults of encoder and power stage."""
+        """Integrate the motor over a step against the present load, with faults of encoder and power stage."""
         measure_angle(self)
         if self._encoder_fault and (self.servo.kp or self.servo.kd):
             self.angle = self._encoder_fault(self.angle)
@@ -139,18 +139,18 @@ class Motor:
 
 
 class MotorRow(RotorStruct, Motor):
-    """A motor whose numbers are a row of an array."""
+    """A motor whose numbers are kept in a row of an array, for compiled kernels."""
 
 
 def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], Any]:
-    """Make motors whose numbers are the rows of one array.
+    """Make motors whose numbers are kept in the rows of one array.
 
     Args:
-        specs: the motors.
-        step_s: step of the plant [s].
+        specs: descriptions of the motors.
+        step_s: time step of the plant [s].
 
     Returns:
-        The motors, and the array.
+        The motors, and the array with their rows.
     """
     memory = (MotorRow * len(specs))()
     motors: list[Motor] = list(memory)

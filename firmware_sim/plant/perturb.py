@@ -1,4 +1,4 @@
-"""Perturbation of a plant: factors on the parameters of its hand file."""
+"""Perturbation of the plant: factors that multiply parameters of the hand file."""
 
 import math
 from dataclasses import replace
@@ -17,7 +17,7 @@ KEYS = {
     "bias": "newtons added to every load cell (not a factor)",
     "noise": "noise of load cells and joint encoders",
 }
-"""Parameter of each key."""
+"""Parameter that each key of ``--perturb`` multiplies."""
 
 
 def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
@@ -25,10 +25,11 @@ def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
 
     Args:
         hand: hand as described by its file.
-        factors: factor of each key of ``KEYS``. The key ``bias`` is an offset [N].
+        factors: factors by key of ``KEYS``. The value of ``bias`` is not a factor but an offset
+            [N].
 
     Returns:
-        The perturbed hand.
+        The description of the perturbed hand.
 
     Raises:
         SimulatorError: a key is unknown, a factor is negative or not finite, or the hand has text

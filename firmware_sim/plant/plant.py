@@ -1,7 +1,7 @@
-"""The plant: links, object and contacts by the engine, tendons and rotors by ``drivetrain``, in steps of 0.5 ms.
+"""The plant of the simulation, in steps of 0.5 ms: links, object, contacts, tendons and rotors.
 
-A step is divided if a quantity is sampled within the step, so that a sample belongs to its exact
-time.
+The engine computes links, object and contacts. ``drivetrain`` computes tendons and rotors. If a
+node samples the plant within a step, the step is divided at the exact time of the sample.
 """
 
 import random
@@ -22,44 +22,47 @@ from firmware_sim.scene.stages import Stages
 from firmware_sim.scene.support import SupportTable
 
 STEP_NS = round(STEP_S * 1e9)
-"""Step of the plant [ns]."""
+"""Time step of the plant [ns]."""
 SLACK_M = (1e-3, 3e-3)
-"""Range of the tendons' slack at power-up [m]. The motors were off before."""
+"""Range of the random slack of tendons at power-up [m].
+
+Tendons are slack because the motors were off before.
+"""
 LARGEST_OVERLAP_M = 3e-3
-"""Largest depth at which an object may be inside a link or the palm at power-up [m]."""
+"""Largest depth to which an object may overlap a link or the palm at power-up [m]."""
 TABLE_STEPS = 4
-"""Number of steps between two updates of the table."""
+"""Number of plant steps from one update of the table to the next."""
 
 
 class Plant:
-    """A hand with its object.
+    """The simulated mechanics of a hand and its object.
 
     Attributes:
         hand: description of the hand.
-        scene: object and support.
-        engine: rigid bodies and contact.
+        scene: description of object, support and later events.
+        engine: rigid bodies and contacts.
         motors: rotors by motor name.
-        tendons: every tendon with its rotor, in the order of ``Hand.every_tendon``.
-        table: table under the object, None without support.
-        load: growing force on the object, None in most scenes.
+        tendons: each tendon with the winding rotor, in the order of ``Hand.every_tendon``.
+        table: table under the object, None in a scene without support.
+        load: force on the object that grows with time, None in most scenes.
         stages: events after the grasp, None in most scenes.
-        stage: index of the present stage, -1 before the first.
-        sampled: arguments for kernels that sample: drivetrain, joint angles [rad], joint velocities
-            [rad/s], and memory for tensions [N].
+        stage: index of the present stage, -1 before the first stage.
+        sampled: arguments for kernels that sample the plant: arrays of the drivetrain, joint angles
+            [rad], joint velocities [rad/s], and an array in which tensions are written [N].
         steps: number of completed steps.
         part_ns: completed part of the step in progress [ns].
     """
 
     def __init__(self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, compiled: bool = True) -> None:
-        """Build the plant at power-up.
+        """Build the plant as it is at power-up.
 
         Args:
             hand: description of the hand.
-            scene: object and support.
+            scene: description of object, support and later events.
             seed: seed of the tendons' slack.
-            homed: True if the tendons start taut.
-            compiled: True to use compiled kernels. False starts one second faster and makes each
-                step slower.
+            homed: True to start with taut tendons.
+            compiled: True to use compiled kernels. With False, the start is one second faster, but
+                each step is slower.
 
         Raises:
             SimulatorError: the engine does not accept the hand, a tendon names an unknown motor or joint, or the
@@ -80,7 +83,8 @@ class Plant:
             self._rotors, rotors = motor_rows(hand.motors, STEP_S)
         else:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
-        # Index of the second tendon of each spool pair, by the index of its first tendon.
+        # The dict gives the index of the second tendon of each spool pair by the index of the first
+        # tendon.
         firsts = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
         self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(firsts)}
         self.motors = {spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)}
@@ -91,8 +95,7 @@ class Plant:
         self._bodies = (engine.q, engine.dq, engine.applied, engine.tendon_damping) if compiled else None
         native = engine.native
         arrays = (*self._drivetrain, *self._bodies) if self._bodies else ()
-        # One array of addresses: a kernel argument costs 0.2 us, and this call is made in every
-        # tick.
+        # The kernel gets one array of addresses, because each argument costs 0.2 us in every tick.
         self._addresses = np.array([*addresses(arrays), *native], np.int64) if arrays and native else None
         self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
@@ -106,7 +109,10 @@ class Plant:
             self._slacken(seed)
 
     def _check_overlaps(self) -> None:
-        """Refuse an object that is inside the open hand. Contact forces would throw both apart."""
+        """Refuse an object that overlaps the open hand.
+
+        Contact forces would throw hand and object apart.
+        """
         overlaps = {name: depth for name, depth in self.engine.overlaps().items() if depth > LARGEST_OVERLAP_M}
         if overlaps:
             name = max(overlaps, key=lambda name: overlaps[name])
@@ -117,7 +123,7 @@ class Plant:
             )
 
     def _routing(self, compiled: bool) -> Routing:
-        """Build the tendons."""
+        """Build the tendons and their pulleys. Refuse unknown motors and joints."""
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
         for spec in hand.tendons:
@@ -128,7 +134,10 @@ class Plant:
         return Routing(hand.every_tendon, hand.joints, motors, [motor.spool_radius for motor in hand.motors], compiled)
 
     def _table(self, support: Support, compiled: bool) -> SupportTable:
-        """Build the table. With compiled kernels it reads the contact forces in the engine's memory."""
+        """Build the table.
+
+        With compiled kernels, the table reads the contact forces in the memory of the engine.
+        """
         hand = self.hand
         closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing]
         opposed = [opposed_digits(hand)[i] for i in closing]
@@ -141,10 +150,11 @@ class Plant:
         """Unwind each spool by a random slack."""
         rng = random.Random(f"slack {seed}")
         for i, (spec, (tendon, motor)) in enumerate(zip(self.hand.tendons, self.tendons, strict=False)):
-            wound = -rng.uniform(*SLACK_M)  # A negative angle is unwound.
+            wound = -rng.uniform(*SLACK_M)  # A negative length is unwound.
             motor.theta = wound / tendon.radius
             if spec.pretension:
-                # A spool pair is taut, because it was mounted with the spool at this angle.
+                # The tendons of a spool pair stay taut, because they were mounted with the spool at
+                # this angle.
                 tendon.extra_length += wound
                 self.tendons[self._antagonist[i]][0].extra_length -= wound
 
@@ -160,23 +170,26 @@ class Plant:
         return self.steps * STEP_NS + self.part_ns
 
     def step(self) -> None:
-        """Advance by one step. See ``advance``."""
+        """Advance the plant by one step. See ``advance``."""
         self.advance(1)
 
     def advance(self, count: int) -> None:
-        """Run a number of steps. A divided step is completed first and counts as one.
+        """Run a number of steps of the plant.
+
+        A divided step is completed first and counts as one step.
 
         Args:
             count: number of steps.
 
         Raises:
-            SimulatorError: the plant's parameters are too extreme for the step.
+            SimulatorError: the plant has diverged, because its parameters are too extreme for the
+                time step.
         """
         while count > 0:
             block = 1 if self.part_ns else min(count, self._free_steps())
             self._move(block)
             count -= block
-            # Table and load act between two steps, never within one.
+            # Table and load act only between two steps, never within a step.
             if self.table and self.steps % TABLE_STEPS == 0 and self._table_can_act(self.table):
                 self._update_table(self.table)
             if self.load:
@@ -184,19 +197,20 @@ class Plant:
                 self.engine.push_object([force * component for component in self.load.direction])
 
     def advance_part(self, duration_ns: int) -> None:
-        """Run a part of the next step.
+        """Run a part of the next step of the plant.
 
         Args:
             duration_ns: length of the part [ns]. The sum of all parts is less than a step.
 
         Raises:
-            SimulatorError: the plant's parameters are too extreme for the step.
+            SimulatorError: the plant has diverged, because its parameters are too extreme for the
+                time step.
         """
         self._move_for(duration_ns)
         self.part_ns += duration_ns
 
     def _move_for(self, duration_ns: int) -> None:
-        """Run one step of another length [ns]."""
+        """Run one step with another duration [ns]."""
         self._set_step(duration_ns * 1e-9)
         try:
             self._move_once(self.faulty_motors)
@@ -204,7 +218,7 @@ class Plant:
             self._set_step(STEP_S)
 
     def _set_step(self, step_s: float) -> None:
-        """Set the length of the next steps [s]."""
+        """Set the time step of engine and rotors for the next steps [s]."""
         self.engine.set_timestep(step_s)
         rotors = self._drivetrain[-1]
         if self._bodies is None:
@@ -215,20 +229,21 @@ class Plant:
             rotors[name] = value
 
     def _free_steps(self) -> int:
-        """Count the steps until table, load or stages can act."""
+        """Count the steps that can run before table, load or stages act again."""
         if self.load:
             return 1
         table_active = self.table and self._table_can_act(self.table)
         return TABLE_STEPS - self.steps % TABLE_STEPS if table_active else 1 << 30
 
     def _table_can_act(self, table: SupportTable) -> bool:
-        """Check whether the table, or a stage after the table has sunk, can still change the plant."""
+        """Check whether the table can still change the plant, or a stage can after the table has sunk."""
         return bool(self.stages) or not table.settled
 
     def _move(self, count: int) -> None:
-        """Run steps, in one call of the kernel unless a motor has a fault that must act in each step."""
+        """Run steps of the plant. Without faulty motors, a single kernel call runs all steps."""
         if self.part_ns:
-            # Complete the divided step first, so that steps stay at multiples of STEP_NS.
+            # The divided step is completed first, so that later steps start at multiples of
+            # STEP_NS.
             self._move_for(STEP_NS - self.part_ns)
             self.part_ns = 0
             self.steps += 1
@@ -247,14 +262,17 @@ class Plant:
 
     @property
     def faulty_motors(self) -> list[Motor]:
-        """List the motors with a fault."""
+        """List the motors whose encoder or power stage has a fault."""
         return [motor for motor in self._rotors if motor.faulty]
 
     def _move_once(self, faulty_motors: list[Motor]) -> None:
-        """Run one step in which the given motors are stepped by Python."""
+        """Run one step of the plant.
+
+        Python steps the given faulty motors, the kernel all others.
+        """
         engine = self.engine
         q, dq, torque, damping = self._bodies or self._joint_lists()
-        if not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S:  # This condition is also true for NaN.
+        if not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S:  # also true if the sum is NaN
             raise self._diverged()
         if faulty_motors:
             for motor in self._rotors:
@@ -268,18 +286,18 @@ class Plant:
         engine.step()
 
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """List joint angles, joint velocities, and memory for torques and tendon damping, for kernels in Python."""
+        """List joint angles and velocities, and make lists for torques and tendon damping, for kernels in Python."""
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()
         return q, dq, [0.0] * len(q), [0.0] * len(self.tendons)
 
     def _diverged(self) -> SimulatorError:
-        """Build the error for a diverged plant."""
+        """Build the error that reports a diverged plant."""
         when = self.steps * STEP_S
         return SimulatorError(f"the plant diverged at {when:.4f} s; expected less extreme parameters")
 
     def _update_table(self, table: SupportTable) -> None:
-        """Sink the table once the object is held, and apply the stages after that."""
+        """Lower the table once the hand holds the object, and then apply the stages of the scene."""
         before = table.depth
         forces = self.engine.sensed if self._bodies else [] if table.dropped_at is not None else self.contact_forces()
         depth = table.update(self.steps * STEP_S, forces)
@@ -294,23 +312,28 @@ class Plant:
                 self.engine.set_friction(now.friction)
 
     def measured_grip(self) -> list[float]:
-        """Return the load on the object, and the sum of the normal forces of each digit [N].
+        """Return the load on the object, and the sum of the normal forces of each digit on the object [N].
 
-        Both are empty in a scene without a load."""
+        The list is empty in a scene without a load.
+        """
         return [self.load.at(self.steps * STEP_S), *self.normal_forces()] if self.load else []
 
     def cells(self) -> Any:
         """Compute the present tension of each tendon at its load cell.
 
         Returns:
-            Shape (tendons,) [N], memory of the plant.
+            Tensions, shape (tendons,) [N]. The array belongs to the plant, and is overwritten in
+            the next call.
         """
         q, dq, *_ = self._bodies or self._joint_lists()
         self._kernels.tensions(*self._drivetrain, q, dq, self._tensions)
         return self._tensions
 
     def tensions(self) -> list[float]:
-        """Return the present tension of each tendon at its load cell [N], the net tension of a spool pair."""
+        """Return the present tension of each tendon at its load cell [N].
+
+        A spool pair has a single value, the net tension.
+        """
         single = self.cells().tolist()
         net = [float(tension) for tension in single[: len(self.hand.tendons)]]
         for i, antagonist in self._antagonist.items():
@@ -318,6 +341,6 @@ class Plant:
         return net
 
     def pair_tensions(self) -> list[float]:
-        """Return the tensions of the first and the second tendon of each spool pair, one after the other [N]."""
+        """Return the tensions of the first and the second tendon of each spool pair [N], pair by pair."""
         single = self.cells().tolist()
         return [float(single[i]) for pair in self._antagonist.items() for i in pair]

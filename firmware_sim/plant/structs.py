@@ -1,6 +1,6 @@
-"""C structures of tendons and rotors for compiled kernels.
+"""C structures with the numbers of tendons and rotors, for compiled kernels.
 
-In Python any object with these attributes can be used.
+Kernels that run in Python accept any object with the same attributes.
 """
 
 import ctypes
@@ -9,19 +9,21 @@ from dataclasses import dataclass
 
 @dataclass
 class Servo:
-    """Setpoints and gains of a drive's servo in the hand's sign, where a positive torque winds.
+    """Setpoints and gains of a drive's servo, with the sign of the hand: a positive torque winds.
 
-    The torque is kp (position - theta) + kd (velocity - omega) + torque, within +-limit.
+    The torque of the servo is kp (position - theta) + kd (velocity - omega) + torque, within
+    +-limit.
 
     Attributes:
-        kp: stiffness [N m/rad].
-        kd: damping [N m s/rad].
+        kp: stiffness towards the position setpoint [N m/rad].
+        kd: damping towards the velocity setpoint [N m s/rad].
         position: position setpoint [rad].
         velocity: velocity setpoint [rad/s].
         torque: feedforward torque [N m].
         limit: torque limit of the drive [N m].
         speed_limit: speed above which the drive brakes [rad/s].
-        speed_gain: gain of that limit [N m s/rad], 0 for no speed limit.
+        speed_gain: braking torque per speed above ``speed_limit`` [N m s/rad], 0 for no speed
+            limit.
     """
 
     kp: float = 0.0
@@ -34,7 +36,7 @@ class Servo:
     speed_gain: float = 0.0
 
     def release(self) -> None:
-        """Set gains and setpoints to zero, so that the motor coasts."""
+        """Set gains and setpoints to zero. The motor then turns freely."""
         self.kp = self.kd = self.position = self.velocity = self.torque = self.speed_gain = 0.0
 
 
@@ -48,7 +50,7 @@ class ServoStruct(ctypes.Structure, Servo):
 
 
 class RotorStruct(ctypes.Structure):
-    """Memory of a ``motor.Motor``."""
+    """Memory of a rotor, see ``motor.Motor`` for the fields."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("theta", "omega", "torque", "velocity", "heat")),
@@ -61,7 +63,7 @@ class RotorStruct(ctypes.Structure):
 
 
 class TendonStruct(ctypes.Structure):
-    """Memory of a ``tendon.Tendon``."""
+    """Memory of a tendon, see ``tendon.Tendon`` for the fields."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("tension", "speed", "slope", "extra_length")),

@@ -1,4 +1,4 @@
-"""One tendon: elastic, pulls but never pushes, with friction on the pulleys it passes."""
+"""An elastic tendon that pulls but never pushes, with friction on the passed pulleys."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,11 +11,11 @@ from firmware_sim.description import POWERS, TendonSpec
 from firmware_sim.plant.structs import TendonStruct
 
 PULLEY = 4 + POWERS
-"""Numbers of a pulley: mean arm [m], 1 if it depends on the angle, joint limits [rad], and the powers."""
+"""Count of numbers of a pulley: mean moment arm [m], 1 if the arm varies, two joint limits [rad], and coefficients."""
 
 
 def _pulley(spec: TendonSpec, joint: str) -> tuple[float, ...]:
-    """Return the numbers of a tendon's pulley at a joint."""
+    """Return the numbers that describe a tendon's pulley at a joint, see ``PULLEY``."""
     if joint not in spec.curves:
         return (spec.arms[joint], *(0.0,) * (PULLEY - 1))
     curve = spec.curves[joint]
@@ -23,40 +23,41 @@ def _pulley(spec: TendonSpec, joint: str) -> tuple[float, ...]:
 
 
 class Tendon:
-    """The tendon. The kernels of a tendon are in ``drivetrain``.
+    """One tendon of the plant. The kernels of tendons are in ``drivetrain``.
 
     Attributes:
         tension: tension at the load cell, between spool and first pulley, in the last step [N].
-        speed: speed towards the spool in the last step, positive when the digit closes [m/s].
+        speed: speed of the tendon towards the spool in the last step [m/s]. It is positive when the
+            digit closes.
         slope: damping plus friction divided by speed, for the implicit integrator [N s/m].
-        extra_length: length beyond the described length [m].
+        extra_length: length of the tendon beyond the length in its description [m].
         radius: radius of the spool [m], negative if a positive spool angle pays the tendon out.
-        stiffness: stiffness up to the knee [N/m].
-        after_knee: stiffness far beyond the knee [N/m].
-        knee: tension of the knee [N].
-        knee_stretch: stretch of the knee [m].
-        knee_width: width of the transition [m].
-        damping: damping [N s/m].
-        friction: capstan friction coefficient.
-        wrap: wrap angle before the first joint [rad].
-        motor: row of its rotor.
-        first: index of its first pulley.
-        end: index after its last pulley.
+        stiffness: stiffness of the tendon at tensions below the knee [N/m].
+        after_knee: stiffness of the tendon at tensions far above the knee [N/m].
+        knee: highest tension at which the tendon is linear [N].
+        knee_stretch: stretch of the tendon at the knee [m].
+        knee_width: width of the transition at the knee, as a stretch [m].
+        damping: viscous damping of the tendon [N s/m].
+        friction: friction coefficient of the tendon, for the capstan equation.
+        wrap: wrap angle of the tendon before the first joint [rad].
+        motor: row of the rotor that winds the tendon.
+        first: index of the tendon's first pulley.
+        end: index after the tendon's last pulley.
     """
 
     first: int
     end: int
 
     def describe(self, spec: TendonSpec, motor: int, spool_radius: float) -> None:
-        """Set the parameters.
+        """Set the parameters of the tendon, and its state without tension.
 
         Args:
-            spec: the tendon.
-            motor: row of its rotor.
+            spec: description of the tendon.
+            motor: row of the rotor that winds the tendon.
             spool_radius: radius of the spool [m].
         """
         self.tension = self.speed = self.slope = 0.0
-        # The pretension of a spool pair is below the knee.
+        # The pretension of a spool pair is below the knee, so the tendon is linear there.
         self.extra_length = -spec.pretension / spec.stiffness if spec.pretension else 0.0
         self.motor = motor
         self.radius = spec.winding * spool_radius
@@ -70,7 +71,7 @@ class Tendon:
         self.wrap = spec.wrap
 
     def snap(self) -> Callable[[], None]:
-        """Break the tendon, so that it carries no tension.
+        """Break the tendon, which then carries no tension.
 
         Returns:
             Function that mends the tendon.
@@ -87,17 +88,18 @@ class Tendon:
 
 
 class TendonRow(TendonStruct, Tendon):
-    """A tendon whose numbers are a row of an array."""
+    """A tendon whose numbers are kept in a row of an array, for compiled kernels."""
 
 
 class Routing:
-    """The tendons of a hand and the pulleys that each of them passes.
+    """The tendons of a hand and the pulleys on the path of each tendon.
 
     Attributes:
         tendons: the tendons.
-        rows: array of the tendons for compiled kernels, otherwise the same list.
-        joints: joint index of each pulley, in the order of the tendons, an array or a list.
-        arms: ``PULLEY`` numbers of each pulley, an array or a list.
+        rows: array with a row for each tendon, for compiled kernels. Otherwise the list
+            ``tendons``.
+        joints: joint index of each pulley, tendon by tendon, as an array or a list.
+        arms: ``PULLEY`` numbers of each pulley, as an array or a list.
     """
 
     def __init__(
@@ -106,11 +108,11 @@ class Routing:
         """Build the tendons and their pulleys.
 
         Args:
-            specs: the tendons.
+            specs: descriptions of the tendons.
             joints: names of the joints.
             motors: names of the motors.
             radii: radius of each spool [m].
-            compiled: True for compiled kernels.
+            compiled: True to make arrays for compiled kernels.
         """
         memory = (TendonRow * len(specs))() if compiled else [Tendon() for _ in specs]
         self.tendons: list[Tendon] = list(memory)
@@ -119,7 +121,8 @@ class Routing:
             motor = motors.index(spec.motor)
             tendon.describe(spec, motor, radii[motor])
             tendon.first = len(path)
-            # A joint with moment arm 0 is passed at its axis: no pulley.
+            # At a joint with moment arm 0 the tendon passes through the axis, so there is no
+            # pulley.
             passed = [name for name, arm in spec.arms.items() if arm]
             path += [(joints.index(name), _pulley(spec, name)) for name in passed]
             tendon.end = len(path)

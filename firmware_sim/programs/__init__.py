@@ -1,1 +1,1 @@
-"""Programs of ``python -m firmware_sim``: a hand, drives on a bench, a bus."""
+"""Programs that ``python -m firmware_sim`` runs: a simulated hand, simulated drives on a bench, or a local bus."""

@@ -1,4 +1,4 @@
-"""Program ``python -m firmware_sim bus``: a local bus without a hand."""
+"""The program ``python -m firmware_sim bus``: a local bus without a simulated hand."""
 
 import select
 
@@ -13,10 +13,10 @@ _POLL_S = 0.2
 
 
 def run(words: list[str]) -> None:
-    """Serve a bus until SIGTERM or SIGINT.
+    """Serve a local bus until SIGTERM or SIGINT.
 
     Raises:
-        SimulatorError: the arguments cannot be served.
+        SimulatorError: the program cannot use the arguments.
     """
     parser = CommandParser(
         prog="python -m firmware_sim bus", description="Serve a local bus without a hand until SIGTERM or SIGINT."

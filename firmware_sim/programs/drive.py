@@ -1,4 +1,4 @@
-"""Program ``python -m firmware_sim drive``: drives on a bench with free shafts, without a hand, for any client."""
+"""The program ``python -m firmware_sim drive``: drives on a bench, with free shafts, for any client on the bus."""
 
 import argparse
 import sys
@@ -27,7 +27,7 @@ from firmware_sim.server import Server
 from firmware_sim.shared_clock import SharedClock
 
 STEP_NS = 1_000_000
-"""Step of the shafts [ns]."""
+"""Time step of the shafts [ns]."""
 EXAMPLES = """
 examples:
   python -m firmware_sim drive mit --ids 1,2,3,4 --bus socketcan:vcan0 --motor-type dm4310
@@ -46,7 +46,7 @@ ENDPOINTS = "\n".join(
         *((key, number) for number, (key, _) in MOTION_ENDPOINTS.items()),
     ]
 )
-"""Endpoints in the help text."""
+"""Table of the ODrive endpoints in the help text."""
 EPILOG = f"""{EXAMPLES}
 endpoints of an ODrive with firmware 0.6, for SDO (real numbers are in its flat_endpoints.json):
 {ENDPOINTS}
@@ -57,23 +57,24 @@ objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 
 
 class Bench:
-    """Drives on one bus. See ``server.Served``.
+    """Simulated drives on one bus. See ``server.Served``.
 
     Attributes:
-        motors: rotors in the order of the specs.
-        nodes: nodes in the order of the specs.
-        slip_ns: time lost by slips [ns].
-        part_ns: completed part of a divided step [ns].
-        faults: faults injected while it runs.
+        motors: rotors in the order of the drive descriptions.
+        nodes: nodes in the order of the drive descriptions.
+        slip_ns: time lost by slips of the clock [ns].
+        part_ns: completed part of the step in progress [ns].
+        faults: faults that are injected while the bench runs.
     """
 
     def __init__(self, specs: list[MotorSpec], origin_ns: int = 0, fault: str = "") -> None:
-        """Build the drives.
+        """Build the drives of the bench.
 
         Args:
             specs: descriptions of the drives.
-            origin_ns: clock at the start [ns].
-            fault: fault of all drives, key of ``faulty_drive.FAULTS``, empty for none.
+            origin_ns: time of the clock at the start [ns].
+            fault: deliberate fault of all drives, a key of ``faulty_drive.FAULTS``, empty for no
+                fault.
         """
         self.t_ns = origin_ns
         self.slip_ns = 0
@@ -90,11 +91,11 @@ class Bench:
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames that a node could not decode."""
+        """Return the number of frames the nodes could not decode."""
         return sum(node.malformed for node in self.nodes)
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Pass a frame to every node and return the answers."""
+        """Pass a frame to every node and return all answers."""
         if self.faults.wire_faults_of:
             answers = [self.faults.exchange(node, frame, self.t_ns) for node in self.nodes]
         else:
@@ -103,7 +104,7 @@ class Bench:
         return [reply._replace(bus=frame.bus, t_ns=self.t_ns) for answer in answers for reply in answer or ()]
 
     def advance(self, t_ns: int) -> None:
-        """Advance to t_ns in whole steps."""
+        """Advance the drives towards ``t_ns`` in whole steps."""
         while self.t_ns - self.part_ns + STEP_NS <= t_ns:
             self._turn(STEP_NS - self.part_ns)
             self.part_ns = 0
@@ -115,11 +116,14 @@ class Bench:
                 self.queue_frames(self.faults.advance(self.t_ns))
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue unsolicited frames."""
+        """Queue frames that are sent without a request."""
         self._unsolicited += frames
 
     def reach(self, t_ns: int) -> None:
-        """Advance to exactly t_ns. The next call completes the divided step."""
+        """Advance the drives to exactly ``t_ns``.
+
+        A step may be divided. The next call completes the step.
+        """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
         if rest_ns > 0:
@@ -127,7 +131,7 @@ class Bench:
             self.part_ns += rest_ns
 
     def _turn(self, duration_ns: int) -> None:
-        """Advance every shaft by a step or a part of a step [ns]."""
+        """Advance every shaft by a duration [ns]: a step or a part of a step."""
         self.t_ns += duration_ns
         for motor in self.motors:
             if motor.step != duration_ns * 1e-9:
@@ -174,7 +178,7 @@ def _parser() -> CommandParser:
 
 
 def _behaviour(args: argparse.Namespace) -> dict[str, object]:
-    """Return the options of the drives' behaviour.
+    """Return the command-line options that change how the drives behave.
 
     Raises:
         SimulatorError: an option belongs to another protocol.
@@ -219,7 +223,7 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
 
 
 def run(words: list[str]) -> None:
-    """Serve drives until SIGTERM or SIGINT.
+    """Serve simulated drives until SIGTERM or SIGINT.
 
     Raises:
         SimulatorError: the simulator does not support the arguments.
@@ -248,7 +252,9 @@ def run(words: list[str]) -> None:
 
 
 def fault_socket(bus: str, bench: Bench) -> FaultSocket | None:
-    """Open the socket for ``handctl fault inject``. None if another simulator on this bus has one.
+    """Open the socket for ``handctl fault inject``.
+
+    Return None if another simulator on this bus already has a fault socket.
 
     Args:
         bus: specification of the bus.

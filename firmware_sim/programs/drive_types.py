@@ -1,4 +1,4 @@
-"""Drives as delivered: identifiers, ranges and timing of the manufacturer, with a free shaft."""
+"""Drives as delivered: with the manufacturer's identifiers, ranges and timing, and with a free shaft."""
 
 from firmware_sim.description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOLS, cubemars
@@ -9,15 +9,15 @@ from firmware_sim.nodes.robstride import bench as robstride_bench
 from firmware_sim.nodes.robstride.node import FULL_SCALE
 
 MIT_TYPES = {**dict.fromkeys(mit_bench.TYPES, "mit"), **dict.fromkeys(cubemars.FULL_SCALE, "cubemars")}
-"""Motor types that speak MIT mode, each with its protocol in handctl."""
+"""Motor types that speak MIT mode, each with the name of the protocol in handctl."""
 ROBSTRIDE = ("robstride", "robstride_mit")
 """Protocols of RobStride motors."""
 ROBSTRIDE_TYPES = tuple(FULL_SCALE)
-"""Models of RobStride motors."""
+"""Names of the RobStride motor models."""
 FRICTION_FRACTION = 2e-3
-"""Coulomb friction as a fraction of peak torque."""
+"""Coulomb friction of a shaft, as a fraction of the motor's peak torque."""
 COASTING_S = 4.0
-"""Time constant of a coasting shaft under viscous friction [s]."""
+"""Time constant with which viscous friction slows a free shaft [s]."""
 
 
 def drive_spec(
@@ -31,15 +31,17 @@ def drive_spec(
     """Build the description of a drive with a free shaft.
 
     Args:
-        protocol: key of ``nodes.PROTOCOLS``. ``mit`` with a CubeMars type means cubemars.
-        node_id: node number.
-        motor_type: key of ``MIT_TYPES``, empty for the protocol's default.
-        fd: True for an MIT motor set to CAN FD.
-        inertia: inertia of the shaft [kg m2], None for the default of the type.
-        firmware: 0.6 or 0.5, for ODrives only.
+        protocol: key of ``nodes.PROTOCOLS``. With ``mit`` and a CubeMars motor type, the protocol
+            is cubemars.
+        node_id: node number of the drive.
+        motor_type: motor type of the protocol, such as a key of ``MIT_TYPES``. Empty for the
+            protocol's default.
+        fd: True for an MIT motor that is set to CAN FD.
+        inertia: inertia of the shaft [kg m2], None for the default of the motor type.
+        firmware: firmware version of an ODrive, 0.6 or 0.5. Other drives ignore it.
 
     Raises:
-        SimulatorError: number or type do not exist.
+        SimulatorError: the node number or the motor type does not exist.
     """
     _check_type(protocol, motor_type)
     protocol = MIT_TYPES.get(motor_type, protocol)
@@ -61,10 +63,10 @@ def drive_spec(
 
 
 def _check_type(protocol: str, motor_type: str) -> None:
-    """Check that a protocol has a motor type. ``mit`` accepts the motor types of all protocols with an MIT mode.
+    """Check that a protocol has a motor type. ``mit`` accepts all motor types with an MIT mode.
 
     Raises:
-        SimulatorError: the type does not exist, or has another protocol.
+        SimulatorError: the motor type does not exist, or speaks another protocol.
     """
     types = ROBSTRIDE_TYPES if protocol in ROBSTRIDE else tuple(MIT_TYPES)
     if motor_type and MIT_TYPES.get(motor_type, protocol) != protocol != "mit":
@@ -74,7 +76,7 @@ def _check_type(protocol: str, motor_type: str) -> None:
 
 
 def _shaft(protocol: str, motor_type: str, fd: bool, firmware: str) -> Shaft:
-    """Build the shaft of the requested motor."""
+    """Build the shaft of the requested motor type."""
     if protocol == "odrive":
         return odrive_bench.shaft(firmware)
     if protocol in ROBSTRIDE and motor_type:

@@ -1,4 +1,4 @@
-"""Program ``python -m firmware_sim``: a simulated hand on a bus, in real time."""
+"""The program ``python -m firmware_sim``: a simulated hand on its buses, in real time."""
 
 import argparse
 import gc
@@ -28,7 +28,7 @@ from firmware_sim.world import World, make_world
 _KEYS = "\n".join(f"  {key:16}{text}" for key, text in KEYS.items())
 _WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
 _LOG_SUFFIX = ".mcap"
-"""Suffix of files that are never overwritten."""
+"""Suffix of log files, which the simulator never overwrites."""
 _EPILOG = f"""
 factors for --perturb:
 {_KEYS}
@@ -89,7 +89,7 @@ def _factors(words: list[str]) -> dict[str, float]:
 
 
 def run(words: list[str]) -> None:
-    """Serve a hand until SIGTERM or SIGINT.
+    """Serve a simulated hand until SIGTERM or SIGINT.
 
     Raises:
         SimulatorError: the simulator does not support the arguments.
@@ -129,7 +129,7 @@ def run(words: list[str]) -> None:
 
 
 def _serve(server: Server, world: World, path: Path, header: dict[str, Any], ready: str) -> None:
-    """Serve a hand and record its truth file."""
+    """Serve a simulated hand and record its truth file."""
     try:
         truth = TruthWriter(path, world.plant, header)
     except OSError as error:
@@ -141,7 +141,7 @@ def _serve(server: Server, world: World, path: Path, header: dict[str, Any], rea
 
     until_signal(stop)
     gc.collect()
-    gc.freeze()  # Loaded modules stay, so that the garbage collector need not scan them in the loop.
+    gc.freeze()  # from now on, the garbage collector skips loaded modules
     print(ready, flush=True)
     try:
         server.run()

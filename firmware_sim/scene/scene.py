@@ -1,4 +1,4 @@
-"""Scenes: an object and its support, read from a small TOML file."""
+"""Scenes of a grasp, read from small TOML files: an object, its support, a load and stages."""
 
 import importlib.resources
 import math
@@ -11,19 +11,19 @@ from firmware_sim.description import SimulatorError
 from firmware_sim.scene.stages import Stage, read_stage
 
 SHAPES = ("cylinder", "sphere", "box")
-"""Shapes of an object."""
+"""Possible shapes of an object."""
 
 
 @dataclass(frozen=True, slots=True)
 class GraspObject:
-    """The object to grasp.
+    """The object that the hand grasps.
 
     Attributes:
-        shape: cylinder (axis z), sphere or box.
-        size: full extents along x, y, z [m].
-        mass: mass [kg].
-        friction: sliding friction coefficient on fingers, palm and table.
-        position: centre in the palm frame [m].
+        shape: shape of the object: cylinder (axis z), sphere or box.
+        size: full extents of the object along x, y, z [m].
+        mass: mass of the object [kg].
+        friction: sliding friction coefficient of the object on digits, palm and table.
+        position: centre of the object in the palm frame [m].
     """
 
     shape: str
@@ -38,13 +38,14 @@ class Support:
     """The table under the object.
 
     Attributes:
-        drop_when: ``grasped`` (the table sinks once the object is held) or ``never``.
-        drop_force: minimum contact force of a digit that holds the object [N].
-        drop_hold: time for which the digits must hold the object [s].
-        drop_digits: number of digits that must hold the object, or all digits of a hand with fewer.
+        drop_when: ``grasped`` if the table sinks once the hand holds the object, or ``never``.
+        drop_force: minimum contact force with which a digit counts as holding the object [N].
+        drop_hold: time for which the digits must hold the object before the table sinks [s].
+        drop_digits: number of digits that must hold the object. If the hand has fewer digits, all
+            of them must.
         drop_opposed: True if one of these digits must close against the others, as the thumb does.
-        sink_speed: speed of the sinking table [m/s].
-        sink_depth: depth at which the table stops [m].
+        sink_speed: speed with which the table sinks [m/s].
+        sink_depth: depth below the initial position at which the table stops [m].
     """
 
     drop_when: str = "never"
@@ -61,9 +62,9 @@ class Load:
     """A force at the object's centre that grows until the grasp fails.
 
     Attributes:
-        direction: unit vector in the palm frame.
-        start: start of the force [s after power-up].
-        rate: rate of the force [N/s].
+        direction: unit vector of the force in the palm frame.
+        start: time after power-up at which the force starts [s].
+        rate: rate at which the force grows [N/s].
     """
 
     direction: tuple[float, float, float]
@@ -71,15 +72,15 @@ class Load:
     rate: float
 
     def at(self, time: float) -> float:
-        """Return the force [N] at a time [s]."""
+        """Return the force [N] at a time after power-up [s]."""
         return max(0.0, self.rate * (time - self.start))
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """An object with its support, its load and the stages after the grasp.
+    """The surroundings of a hand: an object with its support and load, and the stages after the grasp.
 
-    A free hand has no object, support, load or stages.
+    The scene of a free hand has no object, support, load or stage.
     """
 
     name: str
@@ -90,20 +91,20 @@ class Scene:
 
 
 def packaged() -> list[str]:
-    """List the names of the scenes packaged with the simulator."""
+    """List the names of the scenes that are packaged with the simulator."""
     folder = importlib.resources.files("firmware_sim") / "scenes"
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
 def load_scene(text: str | None) -> Scene:
-    """Load a scene.
+    """Load a scene by name or path.
 
     Args:
-        text: packaged name, path of a .toml file, or NAME:DIAMETER_mm such as ``cylinder:40``. None
-            for a free hand.
+        text: name of a packaged scene, path of a .toml file, or NAME:DIAMETER_mm such as
+            ``cylinder:40``. None for a hand without an object.
 
     Raises:
-        SimulatorError: the scene does not exist or is not complete.
+        SimulatorError: the scene does not exist, or its file is not complete.
     """
     if text is None:
         return Scene("none")
@@ -118,7 +119,7 @@ def load_scene(text: str | None) -> Scene:
 
 
 def _resized(scene: Scene, millimetres: str, text: str) -> Scene:
-    """Return the scene with another diameter of the object. The gap between object and palm stays."""
+    """Return the scene with another diameter of the object, and with the same gap between object and palm."""
     try:
         diameter = float(millimetres) * 1e-3
     except ValueError:
@@ -127,7 +128,7 @@ def _resized(scene: Scene, millimetres: str, text: str) -> Scene:
         raise SimulatorError(f"scene {text}: expected a diameter in millimetres, as in cylinder:35")
     old = scene.grasp_object
     height = diameter if old.shape == "sphere" else old.size[2]
-    # The palm's face is the plane x = 0.
+    # The face of the palm is the plane x = 0.
     gap = old.position[0] - old.size[0] / 2.0
     position = (diameter / 2.0 + gap, old.position[1], old.position[2])
     return replace(scene, name=text, grasp_object=replace(old, size=(diameter, diameter, height), position=position))
@@ -161,7 +162,7 @@ def _read(path: Any, where: str) -> Scene:
 
 
 def _grasp_object(raw: dict[str, Any] | None) -> GraspObject | None:
-    """Build the object from its table."""
+    """Build the object from its table in the scene file."""
     if raw is None:
         return None
     shape = raw["shape"]
@@ -182,7 +183,7 @@ def _grasp_object(raw: dict[str, Any] | None) -> GraspObject | None:
 
 
 def _support(raw: dict[str, Any] | None) -> Support | None:
-    """Build the support from its table."""
+    """Build the support from its table in the scene file."""
     if raw is None:
         return None
     if raw["drop_when"] not in ("grasped", "never"):
@@ -194,7 +195,7 @@ def _support(raw: dict[str, Any] | None) -> Support | None:
 
 
 def _load(raw: dict[str, Any] | None) -> Load | None:
-    """Build the load from its table. The direction is normalised."""
+    """Build the load from its table in the scene file. The direction is normalised."""
     if raw is None:
         return None
     x, y, z = (float(value) for value in raw["direction"])

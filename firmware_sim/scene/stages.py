@@ -1,4 +1,4 @@
-"""Stages after the grasp: the hand is turned, the object is pushed, the friction changes."""
+"""Stages of a scene after the grasp, in which the hand is turned, the object is pushed or the friction changes."""
 
 import math
 from dataclasses import dataclass
@@ -7,21 +7,24 @@ from typing import Any
 GRAVITY_M_S2 = 9.81
 """Standard gravity [m/s2]."""
 KEYS = {"down", "turn_s", "last_s", "push_N", "push_at_s", "push_s", "friction"}
-"""Keys of a stage in a scene file."""
+"""Keys that a stage may have in a scene file."""
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stage. The first stage starts when the table starts to sink, each other stage after the one before.
+    """One stage of a scene.
+
+    The first stage starts when the table starts to sink, each later stage when the previous one
+    ends.
 
     Attributes:
-        down: unit vector of gravity in the palm frame, None to keep the direction.
-        turn: duration of the turn [s].
+        down: unit vector of gravity in the palm frame after the turn, None to keep the direction.
+        turn: duration of the turn of gravity to the new direction [s].
         duration: duration of the rest of the stage, after the turn [s].
-        push: force at the object's centre [N].
-        push_at: start of the push after the turn [s].
+        push: force at the centre of the object in the palm frame [N].
+        push_at: time from the end of the turn to the start of the push [s].
         push_duration: duration of the push [s].
         friction: sliding friction coefficient after the turn, None to keep the coefficient.
     """
@@ -39,7 +42,7 @@ def read_stage(raw: dict[str, Any]) -> Stage:
     """Read one stage of a scene file.
 
     Raises:
-        ValueError: a key or a value is wrong.
+        ValueError: a key or a value of the stage is wrong.
     """
     if unknown := raw.keys() - KEYS:
         raise ValueError(f"stage.{sorted(unknown)[0]}: expected {', '.join(sorted(KEYS))}")
@@ -68,13 +71,13 @@ def _vector(raw: Any, where: str) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class StageState:
-    """State of the scene at an instant.
+    """State of a scene with stages at one time.
 
     Attributes:
-        stage: index of the stage, -1 without stages.
-        gravity: gravity in the palm frame [m/s2].
-        push: force at the object's centre [N].
-        friction: sliding friction coefficient, None for the scene's coefficient.
+        stage: index of the present stage, -1 for a scene without stages.
+        gravity: acceleration of gravity in the palm frame [m/s2].
+        push: force at the centre of the object in the palm frame [N].
+        friction: sliding friction coefficient, None for the one in the scene file.
     """
 
     stage: int
@@ -84,25 +87,28 @@ class StageState:
 
 
 class Stages:
-    """The stages of a scene over time.
+    """All stages of a scene, as a function of time.
 
     Attributes:
         duration: total duration of all stages [s].
     """
 
     def __init__(self, stages: tuple[Stage, ...], gravity: Vector) -> None:
-        """Store the stages.
+        """Store the stages of a scene.
 
         Args:
             stages: stages of the scene.
-            gravity: gravity before the first stage [m/s2].
+            gravity: acceleration of gravity before the first stage [m/s2].
         """
         self._stages = stages
         self._gravity = gravity
         self.duration = sum(stage.turn + stage.duration for stage in stages)
 
     def at(self, time: float) -> StageState:
-        """Return the state at a time since the table started to sink [s]. The end of the last stage stays in force."""
+        """Return the state at a time since the table started to sink [s].
+
+        After the last stage, its final state remains.
+        """
         start = 0.0
         gravity = self._gravity
         friction = None
@@ -122,22 +128,25 @@ class Stages:
 
 
 def _scaled(v: Vector, factor: float) -> Vector:
-    """Scale a vector."""
+    """Multiply a vector by a factor."""
     return v[0] * factor, v[1] * factor, v[2] * factor
 
 
 def _turned(start: Vector, end: Vector, fraction: float) -> Vector:
-    """Interpolate between two vectors along the great circle. Opposite vectors pass through the middle.
+    """Interpolate between two vectors along a great circle.
+
+    Between opposite vectors, the path is a straight line.
 
     Args:
         start: vector at fraction 0.
-        end: vector at fraction 1, whose length the result has.
-        fraction: 0 to 1.
+        end: vector at fraction 1. The result has the length of this vector.
+        fraction: fraction of the way from ``start`` to ``end``, 0 to 1.
     """
     mixed = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
     length = math.hypot(*mixed)
     target_length = math.hypot(*end)
-    # Halfway between two opposite vectors no direction is defined: many great circles pass through both.
+    # Halfway between opposite vectors, no direction is defined, because many great circles pass
+    # through both.
     if length < 1e-9 or target_length == 0.0:
         return mixed[0], mixed[1], mixed[2]
     return _scaled((mixed[0], mixed[1], mixed[2]), target_length / length)

@@ -1,4 +1,4 @@
-"""The table under the object, which sinks once the object is held."""
+"""The table under the object, which sinks once the hand holds the object."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from firmware_sim.scene.scene import Support
 
 @compiled("vector", "counts", "counts", "real", "count", "flag")
 def grasped(forces: Any, indices: Any, opposed: Any, min_force_squared: float, digits: int, both_sides: bool) -> bool:
-    """Check whether enough digits press and, if required, press from both sides.
+    """Check whether enough digits press on the object and, if required, from both sides.
 
     Args:
         forces: array that holds x, y, z of the contact force on each digit [N] among other values.
@@ -19,7 +19,7 @@ def grasped(forces: Any, indices: Any, opposed: Any, min_force_squared: float, d
         opposed: 1 for each digit that closes against the first digit, otherwise 0, shape (digits,).
         min_force_squared: square of the minimum force of a pressing digit [N2].
         digits: number of digits that must press.
-        both_sides: True if digits of both sides must press.
+        both_sides: True if digits on both sides of the object must press.
     """
     pressing = 0
     opposing = 0
@@ -30,15 +30,16 @@ def grasped(forces: Any, indices: Any, opposed: Any, min_force_squared: float, d
         if x * x + y * y + z * z > min_force_squared:
             pressing += 1
             opposing += opposed[i]
-    # With both sides required at least one pressing digit is opposed and at least one is not.
+    # If both sides are required, at least one pressing digit must be opposed, and at least one must
+    # not.
     return pressing >= digits and (not both_sides or 0 < opposing < pressing)
 
 
 class SupportTable:
-    """The sinking table.
+    """The table under the object, which can sink.
 
     Attributes:
-        depth: depth below the initial position [m].
+        depth: depth of the table below its initial position [m].
         dropped_at: plant time at which the table started to sink [s], None before.
     """
 
@@ -46,19 +47,19 @@ class SupportTable:
         """Set up the table at its initial position.
 
         Args:
-            support: support of the scene.
+            support: description of the table in the scene.
             opposed: True for each digit that closes against the first digit.
-            indices: index of each digit's first value among the forces, by default three values for
-                each digit in a row.
-            kernels: compiled kernels of this module, which take the forces as an array. None for
-                the Python functions.
+            indices: index of each digit's first value among the forces. By default, the forces are
+                three values for each digit, one digit after the other.
+            kernels: compiled kernels of this module, for forces in an array. None to use the Python
+                functions.
         """
         self._support = support
         starts = list(indices) or list(range(0, 3 * len(opposed), 3))
         sides = [int(side) for side in opposed]
         self._grasped: Callable[..., bool] = kernels.grasped if kernels else grasped
         self._digits = (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
-        # A hand with fewer digits holds with all that it has.
+        # A hand with fewer digits must hold the object with all of them.
         digits = min(support.drop_digits, len(opposed))
         self._criteria = support.drop_force**2, digits, support.drop_opposed
         self._grasped_since: float | None = None
@@ -73,14 +74,14 @@ class SupportTable:
         return self.depth >= self._support.sink_depth
 
     def update(self, time: float, forces: Any) -> float:
-        """Update the depth of the table.
+        """Update and return the depth of the table.
 
         Args:
-            time: plant time [s].
+            time: present plant time [s].
             forces: x, y, z of the contact force on each digit [N], in one list or array.
 
         Returns:
-            Depth [m].
+            Depth of the table below its initial position [m].
         """
         if self.dropped_at is None:
             self._check_grasp(time, forces)
@@ -89,7 +90,7 @@ class SupportTable:
         return self.depth
 
     def _check_grasp(self, time: float, forces: Any) -> None:
-        """Start to sink once the object has been held for ``drop_hold`` without a break."""
+        """Start to sink once the digits have held the object for the time ``drop_hold`` without a break."""
         if self._support.drop_when != "grasped" or not self._grasped(forces, *self._digits, *self._criteria):
             self._grasped_since = None
             return

@@ -1,26 +1,29 @@
-"""Latency of a CAN adapter between a host and its controller on the wire.
+"""Latency of a CAN adapter, which connects a host to the CAN controller on the wire.
 
 A USB host transfers data only at the start of a USB frame: once per millisecond for a full-speed
-device, once per 125 us for a high-speed device. In both directions, a CAN frame waits for the next
-start. A serial bus inside the adapter transfers one CAN frame after the other. Source of the USB times: USB 2.0
-specification, 5.3.3 (frames and microframes).
+device, once per 125 us for a high-speed device. In both directions, a CAN frame waits for the start
+of the next USB frame. A serial bus inside an adapter transfers one CAN frame after the other.
+Source of the USB times: USB 2.0 specification, 5.3.3 (frames and microframes).
 """
 
 import random
 from typing import NamedTuple
 
 CLOCK_DRIFT = 1e-4
-"""Relative difference between the clocks of USB frames and host, so that all phases occur."""
+"""Relative difference between the clocks of USB and host.
+
+As a result, all phases of the USB frames occur.
+"""
 
 
 class Adapter(NamedTuple):
-    """Class of adapters.
+    """A class of CAN adapters with similar latency.
 
     Attributes:
-        send_period_ns: period in which frames of the host leave [ns], 0 for at once.
-        receive_ns: period in which received frames reach the host [ns], 0 for at once.
-        frame_ns: time of one frame on a serial bus inside of the adapter, in either direction [ns].
-        text: examples.
+        send_period_ns: period at which frames leave the host [ns], 0 for no wait.
+        receive_ns: period at which received frames reach the host [ns], 0 for no wait.
+        frame_ns: duration of a frame on a serial bus inside the adapter, in either direction [ns].
+        text: description of the class with examples.
     """
 
     send_period_ns: int
@@ -38,42 +41,42 @@ ADAPTERS = {
 }
 """Classes of adapters by name."""
 NONE = "none"
-"""Class without latency."""
+"""Name of the class without latency."""
 
 
 class Latency:
-    """Latency of one adapter.
+    """Latency of one CAN adapter.
 
-    The time in each call of a method must not be before the time in the previous call.
+    The times passed to a method must not decrease from call to call.
     """
 
     def __init__(self, kind: str, seed: int = 0) -> None:
-        """Make an adapter with a random phase of its USB frames.
+        """Make the latency of an adapter whose USB frames have a random phase.
 
         Args:
             kind: key of ``ADAPTERS``.
-            seed: seed of the phase.
+            seed: seed of the random phase.
         """
         self._adapter = ADAPTERS[kind]
         self._phase = random.Random(f"adapter {kind} {seed}").random()
         self._sent_ns = self._received_ns = 0
 
     def send(self, t_ns: int) -> int:
-        """Return the time at which a frame of the host reaches the controller [ns]."""
+        """Return the time of arrival at the controller for a frame sent now by the host [ns]."""
         adapter = self._adapter
         at_ns = self._next_start(t_ns, adapter.send_period_ns)
         self._sent_ns = max(at_ns, self._sent_ns) + adapter.frame_ns
         return self._sent_ns
 
     def receive(self, t_ns: int) -> int:
-        """Return the time at which a received frame reaches the host [ns]."""
+        """Return the time of arrival at the host for a frame received now by the controller [ns]."""
         adapter = self._adapter
         at_ns = self._next_start(t_ns, adapter.receive_ns)
         self._received_ns = max(at_ns, self._received_ns) + adapter.frame_ns
         return self._received_ns
 
     def _next_start(self, t_ns: int, period_ns: int) -> int:
-        """Return the start of the next USB frame [ns]."""
+        """Return the start of the next transfer period [ns]."""
         if not period_ns:
             return t_ns
         period = period_ns * (1.0 + CLOCK_DRIFT)

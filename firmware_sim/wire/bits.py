@@ -1,10 +1,11 @@
-"""Length of a frame on the wire, and arbitration priority.
+"""The length of a frame on the wire in bits, and the arbitration priority of a frame.
 
 Source: ISO 11898-1:2015, frame formats and bit stuffing.
 
-Classical frame: start of frame, identifier, RTR, IDE, reserved, DLC, data and CRC are stuffed. The
-tail is not. FD frame: identifier to data are stuffed as in a classical frame. Stuff count and CRC
-have fixed stuff bits, one before every four bits.
+In a classical frame, stuff bits are inserted into start of frame, identifier, RTR, IDE, reserved
+bit, DLC, data and CRC, but not into the tail. In an FD frame, stuff bits are inserted up to the
+data in the same way. Stuff count and CRC of an FD frame have fixed stuff bits, one before every
+four bits.
 """
 
 from dataclasses import dataclass
@@ -13,16 +14,16 @@ from functools import lru_cache
 from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
 
 INTERFRAME_BITS = 3
-"""Bits of the interframe space."""
+"""Number of bits of the interframe space."""
 TAIL_BITS = 1 + 1 + 1 + 7 + INTERFRAME_BITS
-"""CRC delimiter, acknowledge slot and delimiter, end of frame, interframe space.
+"""Number of bits of CRC delimiter, acknowledge slot, acknowledge delimiter, end of frame and interframe space.
 
-These bits are not stuffed.
+No stuff bits are inserted into this tail.
 """
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-"""Payload length of each FD data length code [bytes]."""
+"""Payload length that each data length code of CAN FD stands for [bytes]."""
 CRC15 = 0x4599
-"""Generator polynomial of the classical CRC: x15 + x14 + x10 + x8 + x7 + x4 + x3 + 1, without the leading term."""
+"""Generator polynomial of the classical CRC, x15 + x14 + x10 + x8 + x7 + x4 + x3 + 1, without the leading term."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +31,11 @@ class Rate:
     """Bit rates of a wire.
 
     Attributes:
-        nominal: bit rate of arbitration and classical frames [bit/s].
-        data: bit rate of the data phase of FD frames with bit-rate switch [bit/s], 0 for a
-            classical bus.
-        actual: True to count the stuff bits of each frame, False to count the maximum for its
-            length.
+        nominal: bit rate of the arbitration and of classical frames [bit/s].
+        data: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a bus
+            without CAN FD.
+        actual: True to count the actual stuff bits of each frame. False to count the maximum for
+            the frame's length.
     """
 
     nominal: int
@@ -46,38 +47,39 @@ class Rate:
         return round(count * 1e9 / self.nominal)
 
     def frame_ns(self, frame: Frame) -> int:
-        """Return the time a frame occupies the wire, including the interframe space [ns]."""
+        """Return the time for which a frame occupies the wire, including the interframe space [ns]."""
         content = bytes(frame.data) if self.actual else bytes(len(frame.data))
-        # Without actual stuffing all-zero content makes the cache key depend on the length only.
+        # If the actual stuff bits do not count, content of zeros makes the cache key depend only on
+        # the length.
         slow, fast = _bits(frame.can_id, content, frame.flags & (FDF | BRS), self.actual)
         return round(slow * 1e9 / self.nominal + fast * 1e9 / (self.data or self.nominal))
 
 
 def priority(can_id: int) -> int:
-    """Return the arbitration field as a number. The lowest number wins.
+    """Return the arbitration field of a frame as a number. The frame with the lowest number wins.
 
-    Frames with equal numbers cannot be told apart during arbitration.
+    Arbitration cannot decide between frames with equal numbers.
     """
     remote = bool(can_id & REMOTE)
     if can_id & EXTENDED:
         base = can_id >> 18 & 0x7FF
         rest = can_id & 0x3FFFF
-        # 29-bit identifier: 11 bits base, SRR and IDE (both recessive), 18 bits extension, RTR.
-        # Recessive is 1.
+        # The field of a 29-bit identifier has 11 bits of the base, SRR and IDE (both recessive, 1),
+        # 18 bits of the extension, and RTR.
         return base << 21 | 0b11 << 19 | rest << 1 | remote
-    # 11-bit identifier: RTR takes the place of SRR, IDE is dominant. A data frame wins over a
-    # remote frame.
+    # In the field of an 11-bit identifier, RTR takes the place of SRR, and IDE is dominant. A data
+    # frame wins over a remote frame.
     return (can_id & 0x7FF) << 21 | remote << 20
 
 
 @lru_cache(maxsize=1 << 12)
 def _bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
-    """Count the nominal and the fast bits of a frame."""
+    """Count the bits of a frame at the nominal and at the fast bit rate."""
     return _fd(can_id, data, flags, actual) if flags & FDF else _classical(can_id, data, actual)
 
 
 def _classical(can_id: int, data: bytes, actual: bool) -> tuple[int, int]:
-    """Count the bits of a classical frame. All bits are nominal."""
+    """Count the bits of a classical frame. All bits have the nominal bit rate."""
     body = _identifier(can_id) + ("00" if can_id & EXTENDED else "0") + format(len(data), "04b")
     body += "" if can_id & REMOTE else "".join(format(byte, "08b") for byte in data)
     exposed = body + _crc15(body)
@@ -85,7 +87,7 @@ def _classical(can_id: int, data: bytes, actual: bool) -> tuple[int, int]:
 
 
 def _fd(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
-    """Count the nominal and the fast bits of an FD frame."""
+    """Count the bits of an FD frame at the nominal and at the fast bit rate."""
     size = next(length for length in FD_LENGTHS if length >= len(data))
     fast_bits = bool(flags & BRS)
     head = _identifier(can_id) + "10" + ("1" if fast_bits else "0")  # FDF, reserved, BRS
@@ -93,8 +95,8 @@ def _fd(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
     body += "".join(format(byte, "08b") for byte in data.ljust(size, b"\0"))
     in_head = _stuff(head) if actual else (len(head) - 1) // 4
     in_all = _stuff(head + body) if actual else (len(head) + len(body) - 1) // 4
-    # Stuff count and CRC: 17 bits of CRC up to 16 bytes, 21 bits beyond. One fixed stuff bit before
-    # every four bits.
+    # The CRC has 17 bits up to 16 bytes of payload, and 21 bits above. Stuff count and CRC have one
+    # fixed stuff bit before every four bits.
     check = 4 + (17 if size <= 16 else 21)
     slow = len(head) + in_head + TAIL_BITS
     fast = len(body) + in_all - in_head + check + -(-check // 4)
@@ -110,7 +112,10 @@ def _identifier(can_id: int) -> str:
 
 
 def _stuff(bits: str) -> int:
-    """Count the stuff bits. After five equal bits the opposite bit is inserted, and counts for the next five."""
+    """Count the stuff bits of a bit string.
+
+    After five equal bits, the opposite bit is inserted and counts from there on.
+    """
     last = ""
     run = 0
     count = 0
@@ -125,10 +130,11 @@ def _stuff(bits: str) -> int:
 
 
 def _crc15(bits: str) -> str:
-    """Compute the classical CRC of a bit string as 15 binary digits."""
+    """Compute the classical CRC of a bit string, written as 15 binary digits."""
     register = 0
     for bit in bits:
-        # One step of the shift register: feedback of the top bit and the input bit.
+        # This is one step of the CRC's shift register, with feedback of the top bit and the input
+        # bit.
         out = register >> 14 ^ (bit == "1")
         register = register << 1 & 0x7FFF ^ (CRC15 if out else 0)
     return format(register, "015b")

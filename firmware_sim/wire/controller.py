@@ -1,8 +1,8 @@
-"""One CAN controller: queue, error counters, error state, and error frames to its owner.
+"""A simulated CAN controller: queue, error counters, error state, and the error frames to the owner.
 
 Error frame (8 bytes):
 
-    can_id   ERROR flag and the class bits below
+    can_id   ERROR flag and the error classes below
     data[1]  status bits of a CRTL frame
     data[3]  location of a protocol error
     data[6]  transmit error counter, at most 255
@@ -19,26 +19,26 @@ from firmware_sim.bus.frame import ERROR, Frame
 from firmware_sim.wire.bits import priority
 
 WARNING_AT = 96
-"""Error counter at which the state becomes WARNING."""
+"""Value of an error counter at which the state becomes WARNING."""
 PASSIVE_AT = 128
-"""Error counter at which the state becomes PASSIVE."""
+"""Value of an error counter at which the state becomes PASSIVE."""
 BUS_OFF_AT = 256
-"""Transmit error counter at which the controller leaves the bus."""
+"""Value of the transmit error counter at which the controller leaves the bus."""
 TX_ERROR_STEP = 8
-"""Increase of the transmit error counter for one error."""
+"""Increase of the transmit error counter at a transmit error."""
 COUNTER_MAX = 255
-"""Maximum of an error counter in an error frame."""
+"""Largest value of an error counter in an error frame."""
 
 CRTL = 0x04
 """Error class: change of the controller's state, details in data[1]."""
 PROT = 0x08
 """Error class: protocol violation."""
 ACK = 0x20
-"""Error class: no acknowledge."""
+"""Error class: no controller has acknowledged the frame."""
 BUSOFF = 0x40
 """Error class: the controller is off the bus."""
 BUSERROR = 0x80
-"""Error class: bus error."""
+"""Error class: an error on the bus."""
 RESTARTED = 0x100
 """Error class: the controller was restarted."""
 CNT = 0x200
@@ -60,7 +60,7 @@ LOC_ACK = 0x19
 
 
 class ErrorState(enum.IntEnum):
-    """Error states of fault confinement."""
+    """Error states of a CAN controller."""
 
     ACTIVE = 0
     WARNING = 1
@@ -69,26 +69,27 @@ class ErrorState(enum.IntEnum):
 
 
 class CanController:
-    """A CAN controller on a wire. ``Wire.add`` makes it.
+    """A CAN controller on a simulated wire. ``Wire.add`` creates it.
 
     Attributes:
-        queue: earliest start [ns], priority and frame of each queued frame.
-        tx_errors: transmit error counter.
-        rx_errors: receive error counter.
-        state: error state.
-        refused: frames refused because of a full queue or bus-off.
-        sent: frames sent successfully.
-        on_receive: callback for each received frame and its time [ns], including the controller's
-            error frames. None to ignore received frames.
-        retry_ns: earliest time of the next transmission [ns]. A passive sender waits for others.
+        queue: queued frames, each with earliest start [ns] and priority.
+        tx_errors: value of the transmit error counter.
+        rx_errors: value of the receive error counter.
+        state: error state of the controller.
+        refused: number of frames refused because the queue was full or the controller off the bus.
+        sent: number of frames sent successfully.
+        on_receive: function called with each received frame and its time [ns], also with error
+            frames of the controller. None to ignore received frames.
+        retry_ns: earliest time of the next transmission [ns]. An error-passive sender must wait for
+            other senders.
     """
 
     def __init__(self, depth: int, on_receive: Callable[[Frame, int], None] | None) -> None:
-        """Make a controller with an empty queue.
+        """Create a controller with an empty queue.
 
         Args:
-            depth: maximum frames in the queue.
-            on_receive: callback for received frames, or None.
+            depth: capacity of the queue [frames].
+            on_receive: function called with each received frame and its time [ns], or None.
         """
         self.queue: deque[tuple[int, int, Frame]] = deque()
         self.tx_errors = self.rx_errors = 0
@@ -98,22 +99,25 @@ class CanController:
         self.retry_ns = 0
         self._depth = depth
         self._last_error = 0
-        """Classes of the last error, which is reported once until a frame is sent."""
+        """Classes of the last transmit error.
+
+        An error of the same classes is not reported again until a frame is sent.
+        """
 
     @property
     def on_bus(self) -> bool:
-        """Return True unless the controller is off the bus."""
+        """Return True if the controller is on the bus, and not in the state bus-off."""
         return self.state != ErrorState.BUS_OFF
 
     def offer(self, frame: Frame, t_ns: int) -> bool:
-        """Queue a frame. Each refusal is reported to the owner.
+        """Queue a frame for sending. If the frame is refused, the owner gets an error frame.
 
         Args:
             frame: frame to send.
-            t_ns: earliest start [ns].
+            t_ns: earliest start of the frame on the wire [ns].
 
         Returns:
-            True if the queue had room.
+            True if the frame was queued.
         """
         if self.on_bus and len(self.queue) < self._depth:
             self.queue.append((t_ns, priority(frame.can_id), frame))
@@ -123,13 +127,16 @@ class CanController:
         return False
 
     def ready_ns(self) -> int:
-        """Return the earliest start of the frame at the head of the queue [ns]. The queue must not be empty."""
+        """Return the earliest start of the first frame in the queue [ns].
+
+        The queue must not be empty.
+        """
         since_ns = self.queue[0][0]
         retry_ns = self.retry_ns
         return since_ns if since_ns > retry_ns else retry_ns
 
     def count_sent(self, t_ns: int) -> None:
-        """Remove the frame at the head of the queue as sent."""
+        """Remove the first frame from the queue, because it was sent."""
         self.queue.popleft()
         self.sent += 1
         self._last_error = 0
@@ -138,46 +145,46 @@ class CanController:
             self._update(t_ns)
 
     def deliver(self, frame: Frame, t_ns: int) -> None:
-        """Count a frame of another controller as received and pass it to the owner."""
+        """Count a frame of another controller as received, and pass it to the owner."""
         if self.rx_errors:
-            # ISO 11898-1: a success brings a passive receiver below the passive level, and any
-            # other down by one.
+            # According to ISO 11898-1, a received frame lowers the counter of a passive receiver to
+            # below the passive level, and any other counter by one.
             self.rx_errors = min(self.rx_errors, PASSIVE_AT) - 1
             self._update(t_ns)
         if self.on_receive:
             self.on_receive(frame, t_ns)
 
     def count_unacknowledged(self, t_ns: int) -> None:
-        """Count an error because no controller acknowledged the frame.
+        """Count a transmit error, because no controller has acknowledged the frame.
 
-        The counter of a passive sender does not change, so that the only controller on a bus never
-        goes off the bus.
+        The counter of an error-passive sender does not change. A controller that is alone on a bus
+        thus never goes off the bus.
         """
         if self.state < ErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_STEP
         self._count_error(ACK, t_ns)
 
     def count_destroyed(self, t_ns: int) -> None:
-        """Count an error because the frame at the head of the queue was destroyed on the wire."""
+        """Count a transmit error, because the first frame in the queue was destroyed on the wire."""
         self.tx_errors += TX_ERROR_STEP
         self._count_error(PROT | BUSERROR, t_ns)
 
     def count_error_seen(self, t_ns: int) -> None:
-        """Count an error because a frame of another controller was destroyed on the wire."""
+        """Count a receive error, because a frame of another controller was destroyed on the wire."""
         self.rx_errors = min(COUNTER_MAX, self.rx_errors + 1)
         self._update(t_ns)
 
     def restart(self, t_ns: int) -> None:
-        """Restart the controller after bus-off."""
+        """Restart the controller after bus-off, with all counters at zero."""
         self.tx_errors = self.rx_errors = 0
         self.state = ErrorState.ACTIVE
         self._last_error = 0
         self._report(RESTARTED, t_ns)
 
     def _count_error(self, kind: int, t_ns: int) -> None:
-        """Update the state after a transmit error.
+        """Update the error state after a transmit error.
 
-        Each kind of error is reported once, until a frame is sent successfully.
+        Repeated errors of one kind are reported only once, until a frame is sent successfully.
         """
         changed = self._update(t_ns, kind)
         if kind != self._last_error and not changed:
@@ -185,7 +192,7 @@ class CanController:
         self._last_error = kind
 
     def _update(self, t_ns: int, kind: int = 0) -> bool:
-        """Update the state from the counters and report a change.
+        """Update the error state from the counters. Report a change to the owner.
 
         Args:
             t_ns: present time [ns].
@@ -201,14 +208,15 @@ class CanController:
             self.queue.clear()
             self._report(BUSOFF | kind, t_ns)
         else:
-            # The order of the states makes the sum of two comparisons the state.
+            # The states are ordered so that the sum of these two comparisons is the number of the
+            # state.
             self.state = ErrorState((highest >= WARNING_AT) + (highest >= PASSIVE_AT))
             if self.state != before:
                 self._report(CRTL | kind, t_ns, {1: self._status()})
         return self.state != before
 
     def _status(self) -> int:
-        """Return the bits of data[1] for the present state."""
+        """Return the bits of data[1] in an error frame for the present state."""
         if self.state == ErrorState.ACTIVE:
             return ACTIVE
         limit, receive, send = (
@@ -224,7 +232,7 @@ class CanController:
         Args:
             kind: error classes.
             t_ns: present time [ns].
-            extra: bytes of the payload by position.
+            extra: further bytes of the payload, by position.
         """
         if not self.on_receive:
             return

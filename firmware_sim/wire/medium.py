@@ -1,6 +1,9 @@
-"""The simulated wire: one frame at a time, the lowest identifier first, no interruption.
+"""The simulated wire.
 
-The caller drives the wire with ``advance``. Times are the caller's, real or virtual.
+The wire carries one frame at a time, the lowest identifier first, and never interrupts a frame.
+
+The caller advances the wire with ``advance``. All times come from the caller, and may be real or
+virtual.
 """
 
 import random
@@ -16,25 +19,25 @@ NEVER_NS = 1 << 62
 DEFAULT_QUEUE_FRAMES = 128
 """Default capacity of a controller's queue [frames], as ``ip link set can0 txqueuelen 128``."""
 ERROR_FLAGS_BITS = 12 + 8
-"""Superposed error flags of several controllers, and the delimiter."""
+"""Number of bits of the superposed error flags of several controllers, and of the error delimiter."""
 ERROR_FLAG_BITS = 6 + 8
-"""Error flag of a sender alone on the bus, and the delimiter."""
+"""Number of bits of the error flag of a sender that is alone on the bus, and of the error delimiter."""
 UNSENT_END_BITS = 1 + 7
-"""Acknowledge delimiter and end of frame, which a destroyed frame does not reach."""
+"""Number of bits that a destroyed frame does not reach: acknowledge delimiter and end of frame."""
 SUSPEND_BITS = 8
-"""Suspend time of an error-passive sender."""
+"""Number of bits for which an error-passive sender must wait after a frame."""
 RECOVERY_BITS = 128 * 11
-"""Recessive bits that a controller must receive before it returns from bus-off."""
+"""Number of recessive bits that a controller must receive before it returns from bus-off."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireOptions:
-    """Behaviour of a wire.
+    """Options of a simulated wire.
 
     Attributes:
         queue: capacity of a controller's queue [frames].
-        error_rate: fraction of frames destroyed on the wire.
-        restart_ms: delay before a controller is restarted after bus-off [ms], negative for no
+        error_rate: fraction of the frames that are randomly destroyed on the wire.
+        restart_ms: delay after which a controller is restarted after bus-off [ms], negative for no
             restart.
         seed: seed of the random errors.
     """
@@ -46,23 +49,23 @@ class WireOptions:
 
 
 class Wire:
-    """A CAN bus with bit timing.
+    """A simulated CAN bus on which frames take time.
 
     Attributes:
-        rate: bit rates.
-        options: behaviour.
+        rate: bit rates of the wire.
+        options: options of the wire.
         busy_ns: time in which the wire was occupied, errors included [ns].
-        frames: frames sent successfully.
-        errors: frames destroyed or not acknowledged.
-        disturbed: number of following frames to destroy, set by tests and fault scripts.
+        frames: number of frames sent successfully.
+        errors: number of frames that were destroyed or not acknowledged.
+        disturbed: number of next frames that the wire will destroy. Tests set this number.
     """
 
     def __init__(self, rate: Rate, options: WireOptions = WireOptions()) -> None:
-        """Make an idle wire without controllers.
+        """Create an idle wire without controllers.
 
         Args:
-            rate: bit rates.
-            options: behaviour.
+            rate: bit rates of the wire.
+            options: options of the wire.
         """
         self.rate = rate
         self.options = options
@@ -76,12 +79,13 @@ class Wire:
         self._restarts: list[tuple[int, CanController]] = []
 
     def add(self, on_receive: Callable[[Frame, int], None] | None = None, queue: int | None = None) -> CanController:
-        """Connect a new controller.
+        """Create a controller and connect it to the wire.
 
         Args:
-            on_receive: callback for each received frame and its time [ns], None to ignore received
-                frames.
-            queue: capacity of the queue [frames], None for the value of the options.
+            on_receive: function called with each received frame and its time [ns], None to ignore
+                received frames.
+            queue: capacity of the controller's queue [frames]. If it is None, the options of the
+                wire decide.
         """
         controller = CanController(self.options.queue if queue is None else queue, on_receive)
         self._controllers.append(controller)
@@ -94,16 +98,16 @@ class Wire:
         self._senders = [other for other in self._senders if other is not controller]
 
     def next_ns(self) -> int:
-        """Return the time of the next event [ns], NEVER_NS without any."""
+        """Return the time of the next event on the wire [ns], NEVER_NS without any event."""
         due = self._end_ns if self._end_ns != NEVER_NS else self._start_ns()
         return min(due, self._restart_ns()) if self._restarts else due
 
     def _restart_ns(self) -> int:
-        """Return the time of the next restart after bus-off [ns]."""
+        """Return the time at which the next controller is restarted after bus-off [ns]."""
         return min((at for at, _ in self._restarts), default=NEVER_NS)
 
     def step(self, t_ns: int) -> bool:
-        """Process the next event that is due by t_ns.
+        """Process the next event on the wire, if it is due by ``t_ns``.
 
         Returns:
             True if an event was processed.
@@ -126,12 +130,12 @@ class Wire:
         return True
 
     def advance(self, t_ns: int) -> None:
-        """Process all events that are due by t_ns."""
+        """Process all events on the wire that are due by ``t_ns``."""
         while self.step(t_ns):
             pass
 
     def load(self, busy_before_ns: int, elapsed_ns: int) -> float:
-        """Return the fraction of a time span in which the wire was occupied.
+        """Return the fraction of a time span in which frames occupied the wire.
 
         Args:
             busy_before_ns: ``busy_ns`` at the start of the span.
@@ -140,44 +144,45 @@ class Wire:
         return (self.busy_ns - busy_before_ns) / elapsed_ns
 
     def _start_ns(self) -> int:
-        """Return the earliest start of the next frame [ns]."""
+        """Return the time at which the next frame can start [ns]."""
         ready = min([c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS)
         return max(ready, self._free_ns) if ready != NEVER_NS else NEVER_NS
 
     def _arbitrate(self, t_ns: int) -> None:
-        """Start the frame with the lowest identifier of all frames that are ready."""
+        """Start the winner of arbitration among all ready frames."""
         candidates = [c for c in self._controllers if c.queue and c.ready_ns() <= t_ns]
         lowest = min([c.queue[0][1] for c in candidates])
         self._senders = [c for c in candidates if c.queue[0][1] == lowest]
         frames = [c.queue[0][2] for c in self._senders]
-        # Frames with one identifier both win arbitration. A differing payload destroys them.
+        # Two frames with the same identifier both win arbitration. If their contents differ, both
+        # are destroyed.
         identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
         self._acknowledged = self._has_receiver()
         self._intact = identical and self._acknowledged and not self._disturbed()
         span = max(map(self.rate.frame_ns, frames))
         if not self._intact:
-            # The flag replaces the end of the frame. More than one controller makes the flag
-            # longer.
+            # An error flag replaces the end of the frame. The flag is longer if several controllers
+            # send it.
             span += self.rate.bits_ns((ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - UNSENT_END_BITS)
         self.busy_ns += span
         self._end_ns = t_ns + span
 
     def _has_receiver(self) -> bool:
-        """Check whether a controller other than the senders is on the bus."""
+        """Check whether any controller except the senders is on the bus."""
         for controller in self._controllers:
             if controller.state != ErrorState.BUS_OFF and controller not in self._senders:
                 return True
         return False
 
     def _disturbed(self) -> bool:
-        """Decide whether the next frame is destroyed."""
+        """Decide whether the next frame is destroyed, by request or at random."""
         if self.disturbed:
             self.disturbed -= 1
             return True
         return self.options.error_rate > 0.0 and self._rng.random() < self.options.error_rate
 
     def _finish(self, t_ns: int) -> None:
-        """End the frame on the wire: deliver it, or keep it for a retry."""
+        """End the frame on the wire: deliver the frame, or keep the frame in the queue for a retry."""
         senders = self._senders
         self._senders = []
         self._end_ns = NEVER_NS
@@ -202,7 +207,10 @@ class Wire:
                 controller.deliver(frame, t_ns)
 
     def _destroy(self, senders: list[CanController], t_ns: int) -> None:
-        """Count the error in all controllers. Senders keep the frame for a retry."""
+        """Count the error of a destroyed frame in all controllers.
+
+        Senders keep the frame for a retry.
+        """
         self.errors += 1
         for controller in self._controllers:
             if controller.on_bus and controller not in senders:
@@ -220,7 +228,7 @@ class Wire:
             controller.retry_ns = t_ns + self.rate.bits_ns(SUSPEND_BITS)
 
     def _restart(self, t_ns: int) -> None:
-        """Restart the controllers whose delay after bus-off has passed."""
+        """Restart the controllers whose restart delay after bus-off has passed."""
         due = [controller for at, controller in self._restarts if at <= t_ns]
         self._restarts = [(at, controller) for at, controller in self._restarts if at > t_ns]
         for controller in due:

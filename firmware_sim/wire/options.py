@@ -1,4 +1,4 @@
-"""Command-line words of a simulated wire: ``--wire queue=10 stuffing=actual``."""
+"""Command-line words of a simulated wire, such as ``--wire queue=10 stuffing=actual``."""
 
 import math
 from collections.abc import Sequence
@@ -19,22 +19,23 @@ KEYS = {
     "seed": "seed of the errors and of the adapter's phase (0)",
     "adapter": f"latency of the host's CAN adapter: {', '.join(ADAPTERS)} ({NONE})",
 }
-"""Meaning and default of each key."""
+"""Meaning and default of each key of ``--wire``."""
 _MAX_BITRATE = 20_000_000
-"""Maximum bit rate of any phase [bit/s]."""
+"""Maximum bit rate of arbitration or data phase [bit/s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """Specification of a wire from the command line.
+    """Specification of simulated wires from the command line.
 
     Attributes:
-        options: behaviour.
-        actual: True to count the stuff bits of each frame.
-        bitrate: nominal bit rate that replaces the hand file's [bit/s], 0 to keep it.
-        data_bitrate: bit rate of the data phase that replaces the hand file's [bit/s], 0 to keep
-            it.
-        adapter: class of the hosts' adapters, key of ``ADAPTERS``.
+        options: options of the wires.
+        actual: True to count the actual stuff bits of each frame.
+        bitrate: nominal bit rate that replaces the bit rate in the hand file [bit/s], 0 to keep the
+            hand file's.
+        data_bitrate: data bit rate that replaces the bit rate in the hand file [bit/s], 0 to keep
+            the hand file's.
+        adapter: class of the CAN adapters of the hosts, a key of ``ADAPTERS``.
     """
 
     options: WireOptions = field(default_factory=WireOptions)
@@ -44,25 +45,25 @@ class WireSpec:
     adapter: str = NONE
 
     def latency(self, number: int) -> Latency:
-        """Return the latency of a host's adapter.
+        """Return the latency of a host's CAN adapter.
 
         Args:
-            number: number of the adapter, which selects its phase.
+            number: number of the adapter. The number selects the random phase of the adapter.
         """
         return Latency(self.adapter, self.options.seed + number)
 
     def rate(self, bitrate: int, data_bitrate: int) -> Rate:
-        """Return the bit rates of a bus.
+        """Return the bit rates of a bus, from the command line or the hand file.
 
         Args:
-            bitrate: nominal bit rate of the hand file [bit/s].
-            data_bitrate: bit rate of the data phase of the hand file [bit/s].
+            bitrate: nominal bit rate in the hand file [bit/s].
+            data_bitrate: bit rate of the data phase in the hand file [bit/s].
         """
         return Rate(self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.actual)
 
 
 def parse(words: Sequence[str]) -> WireSpec:
-    """Parse KEY=VALUE words.
+    """Parse the KEY=VALUE words of ``--wire``.
 
     Raises:
         SimulatorError: a key is unknown, or a value is out of range.
@@ -74,7 +75,7 @@ def parse(words: Sequence[str]) -> WireSpec:
 
 
 def _updated(spec: WireSpec, word: str) -> WireSpec:
-    """Return the specification with one word applied."""
+    """Return a specification with the change made by a word."""
     key, _, text = word.partition("=")
     if key not in KEYS:
         raise SimulatorError(f"--wire {word}: expected one of {', '.join(KEYS)}, as in queue=10")
@@ -99,7 +100,7 @@ def _updated(spec: WireSpec, word: str) -> WireSpec:
 
 
 def _number(word: str, text: str, low: float, high: float) -> float:
-    """Parse a number in a range."""
+    """Parse a number that must lie in a range."""
     try:
         value = float(text)
     except ValueError:

@@ -1,4 +1,7 @@
-"""Configurations. LeRobot derives the class of a device from the name of its configuration, without ``Config``."""
+"""Configurations of the robot and the teleoperators.
+
+LeRobot removes ``Config`` from the name of a configuration to find the class of its device.
+"""
 
 from dataclasses import dataclass, field
 
@@ -10,15 +13,15 @@ from lerobot.teleoperators.config import TeleoperatorConfig
 @RobotConfig.register_subclass("handctl")
 @dataclass(kw_only=True)
 class HandctlRobotConfig(RobotConfig):
-    """Settings of a hand.
+    """Settings of a hand as a robot.
 
     Attributes:
-        hand: packaged name or file of the hand.
-        bus: bus, as ``handctl run --bus``.
+        hand: name of a packaged hand, or path of a hand file.
+        bus: bus of the hand, as for ``handctl run --bus``.
         rate_Hz: expected rate of the actions, measured with the clock of the hand.
-        speed_deg_s: largest rate of a joint's target.
+        speed_deg_s: largest rate at which the target of a joint changes [deg/s].
         options: further options of ``handctl run``.
-        cameras: cameras of LeRobot.
+        cameras: cameras of LeRobot, by name.
     """
 
     hand: str = "jamia"
@@ -32,11 +35,11 @@ class HandctlRobotConfig(RobotConfig):
 @TeleoperatorConfig.register_subclass("handctl_keyboard")
 @dataclass(kw_only=True)
 class HandctlKeyboardConfig(TeleoperatorConfig):
-    """Settings of the keyboard.
+    """Settings of the keyboard as a teleoperator.
 
     Attributes:
-        hand: packaged name or file of the hand.
-        step_deg: motion for each key.
+        hand: name of a packaged hand, or path of a hand file.
+        step_deg: motion of a digit for each press of its key [deg].
     """
 
     hand: str = "jamia"
@@ -46,10 +49,10 @@ class HandctlKeyboardConfig(TeleoperatorConfig):
 @TeleoperatorConfig.register_subclass("handctl_log")
 @dataclass(kw_only=True)
 class HandctlLogConfig(TeleoperatorConfig):
-    """Settings of a recorded run as leader.
+    """Settings of a recorded run as a teleoperator.
 
     Attributes:
-        log: log of the run.
+        log: path of the log of the run.
     """
 
     log: str = ""

@@ -1,4 +1,4 @@
-"""Teleoperators without hardware: the keys of a terminal, and a recorded run."""
+"""Teleoperators that need no hardware: the keys of a terminal, and a recorded run."""
 
 import os
 import select
@@ -21,58 +21,61 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 
 CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "
-"""Keys that close and open the digits in the order of the hand file, and the key that opens all."""
+"""Keys that close the digits, and keys that open them, in the order of the hand file. The last key opens all digits."""
 
 
 class Leader(Teleoperator):
-    """Teleoperator of the joints of a hand, without force feedback and calibration."""
+    """Base class of the teleoperators.
+
+    A teleoperator commands the joints of a hand, and has neither force feedback nor calibration.
+    """
 
     joints: tuple[str, ...]
 
     @cached_property
     def action_features(self) -> dict[str, Any]:
-        """Return the names of an action: an angle for each joint."""
+        """Return the names and types of an action's elements: an angle for each joint."""
         return positions(self.joints)
 
     @property
     def feedback_features(self) -> dict[str, Any]:
-        """Return no names: there is no feedback."""
+        """Return an empty mapping, because there is no feedback."""
         return {}
 
     @property
     def is_connected(self) -> bool:
-        """Return True between ``connect`` and ``disconnect``."""
+        """Return True after ``connect`` and before ``disconnect``."""
         return self._is_open
 
     @property
     def is_calibrated(self) -> bool:
-        """Return True: there is nothing to calibrate."""
+        """Return True, because there is nothing to calibrate."""
         return True
 
     _is_open = False
 
     def connect(self, calibrate: bool = True) -> None:
-        """Begin to lead."""
+        """Begin to give actions."""
         if self._is_open:
             raise DeviceAlreadyConnectedError(f"{self} is connected")
         self._is_open = True
 
     def calibrate(self) -> None:
-        """Do nothing."""
+        """Do nothing, because there is nothing to calibrate."""
 
     def configure(self) -> None:
-        """Do nothing."""
+        """Do nothing, because there are no settings."""
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Do nothing: there is no feedback."""
+        """Do nothing, because there is no feedback."""
 
     def disconnect(self) -> None:
-        """Stop to lead."""
+        """Stop giving actions."""
         self._check_open()
         self._is_open = False
 
     def _check_open(self) -> None:
-        """Raise DeviceNotConnectedError if the leader is not connected."""
+        """Raise DeviceNotConnectedError if the teleoperator is not connected."""
         if not self._is_open:
             raise DeviceNotConnectedError(f"{self} is not connected")
 
@@ -84,7 +87,7 @@ class HandctlKeyboard(Leader):
     name = "handctl_keyboard"
 
     def __init__(self, config: HandctlKeyboardConfig) -> None:
-        """Load the hand."""
+        """Load the description of the hand."""
         super().__init__(config)
         hand = load_hand(config.hand)
         self.joints = hand.joints
@@ -94,7 +97,7 @@ class HandctlKeyboard(Leader):
         self._settings: Any = None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Read single keys from a terminal. If standard input is no terminal, its mode is not changed."""
+        """Connect, and set the terminal to pass on single keys. A standard input that is no terminal stays as it is."""
         super().connect(calibrate)
         self._angles[:] = 0.0
         if sys.stdin.isatty():
@@ -102,14 +105,14 @@ class HandctlKeyboard(Leader):
             tty.setcbreak(0)
 
     def get_action(self) -> dict[str, Any]:
-        """Return the angles after the keys that were pressed since the last call [rad]."""
+        """Apply the keys that were pressed since the last call, and return the target angles of the joints [rad]."""
         self._check_open()
         for key in self._keys():
             self._press(key)
         return named(self.joints, self._angles)
 
     def disconnect(self) -> None:
-        """Restore the mode of the terminal."""
+        """Disconnect, and restore the mode of the terminal."""
         super().disconnect()
         if self._settings is not None:
             termios.tcsetattr(0, termios.TCSADRAIN, self._settings)
@@ -120,7 +123,7 @@ class HandctlKeyboard(Leader):
         return os.read(0, 1024).decode("ascii", "ignore") if select.select([0], [], [], 0.0)[0] else ""
 
     def _press(self, key: str) -> None:
-        """Move the target of the digit that a key selects."""
+        """Move the target angles of the digit that a key selects."""
         if key == OPEN_ALL:
             self._angles[:] = 0.0
         for keys, step in ((CLOSE, self._step), (OPEN, -self._step)):
@@ -132,24 +135,28 @@ class HandctlKeyboard(Leader):
 
 
 class HandctlLog(Leader):
-    """Teleoperator that replays the commanded angles of a recorded run with its timing, while the hand was active."""
+    """Teleoperator that repeats the commanded angles of a recorded run with their timing.
+
+    Only the part in which the hand was active is used.
+    """
 
     config_class = HandctlLogConfig
     name = "handctl_log"
 
     def __init__(self, config: HandctlLogConfig) -> None:
-        """Read the run.
+        """Read the commanded angles of the run from its log.
 
         Raises:
-            LogError: the file is no log.
-            ValueError: the hand was never active.
+            LogError: the file is not a log of handctl.
+            ValueError: the hand was never active in the run.
         """
         super().__init__(config)
         with RunLog(Path(config.log)) as log:
             self.joints = log.names("q")
             active = log.mode == Mode.ACTIVE
             goal = log.field("q_goal")[active]
-            # A digit that holds a tension has no commanded angle. Its estimated angle is used.
+            # The joints of a digit that holds a tension have no commanded angles. Their estimated
+            # angles are used instead.
             self._angles = np.where(np.isnan(goal), log.field("q")[active], goal)
             self._times = log.times[active]
         if not len(self._times):
@@ -158,12 +165,15 @@ class HandctlLog(Leader):
         self._start_s: float | None = None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Begin at the first angles. Time runs from the first action on."""
+        """Connect, and begin at the first angles of the run. Its time starts at the first ``get_action``."""
         super().connect(calibrate)
         self._start_s = None
 
     def get_action(self) -> dict[str, Any]:
-        """Return the angles of the present moment [rad]. After the end of the log, these are the last angles."""
+        """Return the angles that the run commanded at this time [rad].
+
+        After the end of the log, these are its last angles.
+        """
         self._check_open()
         now = time.monotonic()
         self._start_s = now if self._start_s is None else self._start_s

@@ -1,4 +1,4 @@
-"""Names of joints and tendons in datasets, the same as in ``handctl log export --lerobot``."""
+"""Names of joint angles and tensions in datasets. The command ``handctl log export --lerobot`` uses the same names."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -11,12 +11,12 @@ TENSION = ".tension_N"
 
 
 def positions(joints: Iterable[str]) -> dict[str, type]:
-    """Return the features of joint angles."""
+    """Return the names and types of the elements with joint angles."""
     return {f"{joint}{POSITION}": float for joint in joints}
 
 
 def named(joints: Iterable[str], angles: Iterable[float]) -> dict[str, float]:
-    """Return joint angles by their names [rad]."""
+    """Return joint angles by the names that they have in a dataset [rad]."""
     return {f"{joint}{POSITION}": float(angle) for joint, angle in zip(joints, angles, strict=True)}
 
 
@@ -24,7 +24,7 @@ def angles_of(joints: tuple[str, ...], action: Mapping[str, Any]) -> NDArray[np.
     """Return the joint angles of an action in the order of the joints [rad].
 
     Raises:
-        ValueError: an angle is missing.
+        ValueError: the action has no angle for a joint.
     """
     missing = [joint for joint in joints if f"{joint}{POSITION}" not in action]
     if missing:

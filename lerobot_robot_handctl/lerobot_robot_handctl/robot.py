@@ -1,4 +1,4 @@
-"""A hand of handctl as a robot of LeRobot."""
+"""Hand of handctl as a robot of LeRobot."""
 
 import threading
 import time
@@ -22,17 +22,17 @@ PAUSE_S = 0.4
 
 
 class HandctlRobot(Robot):
-    """A hand that follows actions by a stream of targets.
+    """Robot whose hand follows actions. The actions are sent to the controller as a stream of targets.
 
-    A thread closes the stream in a pause of the actions. It does not send anything, so that a program that hangs
-    leaves the stream stale, and the controller holds and relaxes the hand.
+    If the actions pause, a thread closes the stream. This thread sends no targets. So if the
+    program hangs, no targets arrive, and the controller first holds the hand and then relaxes it.
     """
 
     config_class = HandctlRobotConfig
     name = "handctl"
 
     def __init__(self, config: HandctlRobotConfig) -> None:
-        """Load the hand. Nothing is connected."""
+        """Load the description of the hand, without connecting to it."""
         super().__init__(config)
         self.config = config
         self.description = load_hand(config.hand)
@@ -50,14 +50,14 @@ class HandctlRobot(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        """Return the names of an observation: angles, tensions, camera images."""
+        """Return the names and types of an observation's elements: joint angles, tensions and camera images."""
         tensions = {f"{tendon}{TENSION}": float for tendon in self.description.tendon_names}
         pictures = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
         return {**positions(self.description.joints), **tensions, **pictures}
 
     @cached_property
     def action_features(self) -> dict[str, Any]:
-        """Return the names of an action: an angle for each joint."""
+        """Return the names and types of an action's elements: an angle for each joint."""
         return positions(self.description.joints)
 
     @property
@@ -67,11 +67,11 @@ class HandctlRobot(Robot):
 
     @property
     def is_calibrated(self) -> bool:
-        """Return True: handctl commissions a hand itself."""
+        """Return True, because handctl commissions a hand itself."""
         return True
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect to the controller of the bus, or start one. It commissions and arms the hand."""
+        """Connect to the controller on the bus, or start a controller, which commissions and arms the hand."""
         if self._hand is not None:
             raise DeviceAlreadyConnectedError(f"{self} is connected")
         hand = handctl.connect(self.config.hand, self.config.bus, *self.config.options).open()
@@ -90,13 +90,13 @@ class HandctlRobot(Robot):
         threading.Thread(target=self._close_in_pauses, daemon=True).start()
 
     def calibrate(self) -> None:
-        """Do nothing, see ``handctl commission``."""
+        """Do nothing. The command ``handctl commission`` calibrates a hand."""
 
     def configure(self) -> None:
-        """Do nothing: the controller has its settings from the hand file."""
+        """Do nothing, because the controller gets its settings from the hand file."""
 
     def get_observation(self) -> dict[str, Any]:
-        """Return the latest observation: angles [rad], tensions [N], camera images."""
+        """Return the latest observation: joint angles [rad], tensions [N] and camera images."""
         seen = self._connected().observe()
         tendons = self.description.tendon_names
         tensions = {f"{name}{TENSION}": float(value) for name, value in zip(tendons, seen.tension_N, strict=True)}
@@ -104,7 +104,10 @@ class HandctlRobot(Robot):
         return {**named(self.description.joints, seen.q_rad), **tensions, **pictures}
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Send a target. Send a target within the range and the speed limit of the joints, and return it."""
+        """Limit the angles of an action to the ranges and speed limits of the joints.
+
+        Send and return the limited angles.
+        """
         hand = self._connected()
         wanted = np.clip(angles_of(self.description.joints, action), self._low, self._high)
         with self._lock:
@@ -118,7 +121,10 @@ class HandctlRobot(Robot):
         return named(self.description.joints, target)
 
     def disconnect(self) -> None:
-        """Close the stream, relax and disarm the hand if this robot has started its controller."""
+        """Close the stream and the client.
+
+        If this robot has started the controller, the hand relaxes and is disarmed.
+        """
         hand = self._connected()
         self._ended.set()
         with self._lock:
@@ -134,7 +140,7 @@ class HandctlRobot(Robot):
                 camera.disconnect()
 
     def _connected(self) -> HandClient:
-        """Return the client.
+        """Return the client of the hand.
 
         Raises:
             DeviceNotConnectedError: the robot is not connected.
@@ -144,7 +150,10 @@ class HandctlRobot(Robot):
         return self._hand
 
     def _close_in_pauses(self) -> None:
-        """Close the stream whenever no action has come for a while."""
+        """Close the stream whenever no action has come for `PAUSE_S`.
+
+        This function runs in a thread until the robot disconnects.
+        """
         while not self._ended.wait(PAUSE_S / 4):
             with self._lock:
                 if self._stream is not None and time.monotonic() - self._sent_s > PAUSE_S:

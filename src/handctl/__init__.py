@@ -1,4 +1,4 @@
-"""Hardware-in-the-loop controller and data logger for tendon-driven robot hands."""
+"""Controller and data logger for tendon-driven robot hands, with hardware in the loop."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the client at its first use, so that ``import handctl`` takes no time."""
+    """Import the client when a program first uses the client, so that ``import handctl`` takes no time."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from handctl import client

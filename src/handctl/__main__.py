@@ -1,4 +1,7 @@
-"""Run the command line as `python -m handctl`, for a machine without the `handctl` script on its PATH."""
+"""Program `python -m handctl`.
+
+The program runs the command line on a machine that has no `handctl` script on the PATH.
+"""
 
 import sys
 

@@ -1,14 +1,14 @@
-"""Compilation of the functions that run for every tendon, motor or joint in every tick.
+"""Compilation of kernels, the functions that run for every tendon, motor or joint in every tick.
 
 A kernel is a plain function of arrays and numbers, written with loops and ``math``. With
-``NUMBA_DISABLE_JIT=1`` the kernels run interpreted. Compiled code does not reorder operations (no
-``fastmath``), so that both ways give equal numbers to the last bit.
+``NUMBA_DISABLE_JIT=1``, Python interprets the kernels. Compiled code does not reorder operations
+(no ``fastmath``), so interpreted and compiled kernels give the same numbers to the last bit.
 
 ``prepare`` compiles all kernels before a hand is armed. One compilation serves every hand, because
-the types of a kernel's arguments do not depend on the hand. The code is stored in a folder whose
-name is a hash of all source files of kernels and of their path. A change in one of these files
-leads to a new folder, so that no process runs code of another version. If no folder can be written,
-each process compiles the kernels itself.
+the types of a kernel's arguments do not depend on the hand. The compiled code is stored in a
+folder. The name of the folder is a hash of all source files of kernels and of their path. A change
+in one of these files leads to a new folder. So no process runs code of another version. If no
+folder can be written, each process compiles the kernels itself.
 """
 
 import contextlib
@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from handctl.kernel_loading import load_kernel
 
 config: Any = _config
-"""Settings of numba. They have no type information."""
+"""Module with the settings of numba, which has no type information."""
 cgutils: Any = _cgutils
-"""Code generation of numba. It has no type information."""
+"""Module with the code generation of numba, which has no type information."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 SOURCES = (
@@ -42,21 +42,27 @@ SOURCES = (
     "drives/frame.py", "drives/records.py", "drives/signals.py",
     "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py",
 )  # fmt: skip
-"""Files and folders of this package with the functions and constants of kernels. A test finds the modules of each
-kernel's constants. A change of another file compiles nothing."""
+"""Files and folders of this package that contain functions and constants of kernels.
+
+A test checks that no module with constants of kernels is missing in the list. If another file
+changes, nothing is compiled again.
+"""
 MAX_FOLDERS = 16
-"""Largest number of versions whose code is stored. Older versions are deleted."""
+"""Largest number of versions of handctl whose compiled code stays stored.
+
+The code of older versions is deleted.
+"""
 MAX_WORKERS = 8
-"""Largest number of processes that compile in parallel."""
+"""Largest number of processes that compile kernels in parallel."""
 POLL_S = 0.1
 """Time between two checks of the progress of the compilation [s]."""
 
 _KERNELS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
-"""Dispatcher and types of the arguments of each kernel, by the name of the kernel."""
+"""Dispatcher and argument types of each kernel, by name of the kernel."""
 _INNER: list[Any] = []
-"""Dispatchers of all functions that only kernels call."""
+"""Numba dispatchers of all functions that only kernels call."""
 MARKED: list[Callable[..., Any]] = []
-"""Python functions of all kernels and of the functions that kernels call."""
+"""Python functions of all kernels and of all functions that kernels call."""
 _TYPES = {
     "real": types.float64,
     "count": types.int64,
@@ -78,7 +84,7 @@ _TYPES = {
 
 
 def kernel(*arguments: str) -> Callable[[F], F]:
-    """Mark a function as a kernel.
+    """Mark a function as a kernel to be compiled.
 
     Args:
         arguments: type of each argument. real and count are numbers. vector, matrix, cube, flags
@@ -97,7 +103,10 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
 
 def inner(function: F) -> F:
-    """Mark a function that only kernels call. It is compiled into the kernels, and Python cannot call it."""
+    """Mark a function that only kernels call. Such a function is compiled into the kernels.
+
+    Python cannot call the function.
+    """
     MARKED.append(function)
     options: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher: Any = njit(error_model="numpy", **options)(function)
@@ -117,7 +126,10 @@ def _marked(function: F) -> F:
 
 @contextlib.contextmanager
 def _cached_in(folder: Path | None) -> Iterator[None]:
-    """Let numba store the code of kernels in a folder within this context. Other packages are not affected."""
+    """Let numba store the code of kernels in a folder, within this context.
+
+    Other packages that use numba are not affected.
+    """
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder or "")
     try:
@@ -142,11 +154,11 @@ def _folder() -> Path | None:
 
 
 def _source_hash() -> str:
-    """Return a hash of all source files of kernels, and of the package's path.
+    """Return a hash over all source files of kernels and the path of the package.
 
-    Numba stores code by the path of its source file. Without the path in the hash, two
-    installations of one version would share a folder, and one of them would find code there that it
-    cannot use.
+    Numba stores code by the path of the source file. Without the path in the hash, two
+    installations of one version would share a folder, and find code in the folder that only the
+    other can use.
     """
     here = Path(__file__).parent
     digest = hashlib.blake2b(os.fsencode(here), digest_size=8)
@@ -158,7 +170,7 @@ def _source_hash() -> str:
 
 
 def _remove_old(root: Path) -> None:
-    """Delete the code of versions that were not used recently."""
+    """Delete the compiled code of all versions except the `MAX_FOLDERS` used last."""
     with contextlib.suppress(OSError):
         folders = sorted(root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True)
         for path in folders[MAX_FOLDERS:]:
@@ -170,15 +182,20 @@ _FOLDER = None if config.DISABLE_JIT else _folder()
 
 @kernel("real")
 def square(value: float) -> float:
-    """Return the square of a number as a product. The interpreter's ``**`` would round differently."""
+    """Return the square of a number, computed as a product.
+
+    The interpreter's ``**`` would round differently.
+    """
     return value * value
 
 
 def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
-    """Generate the code of ``borrow``: an array without an owner, so that its references are not counted.
+    """Generate the code of ``borrow``, which returns an array without an owner.
+
+    References to such an array are not counted.
 
     Raises:
-        TypingError: the array is not contiguous in C order.
+        TypingError: the array to borrow from is not contiguous in C order.
     """
     if flat.layout != "C":
         raise TypingError(f"a kernel can borrow a contiguous array only, not {flat}")
@@ -207,16 +224,17 @@ _borrow: Any = intrinsic(_without_owner)
 
 
 def borrow(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return a part of a contiguous array, with another shape, without counting references to it.
+    """Return a part of a contiguous array in another shape, without counting references to the array.
 
-    Numba counts the references to an array at each call with this array, by atomic operations.
-    Kernels pass dozens of tables to the functions that they call, and the counting took longer than
-    all computations. A borrowed array has no reference count, so the caller of the kernel must keep
-    the memory alive. The interpreter returns an ordinary view.
+    If a function is called with an array, numba counts the references to the array with atomic
+    operations. Kernels pass dozens of tables to the functions that they call, and the counting took
+    longer than all computations. A borrowed array has no reference count, so the caller of the
+    kernel must keep the memory alive. If Python interprets the kernel, the result is an ordinary
+    view.
 
     Args:
         flat: contiguous array.
-        first: index of the first element.
+        first: index of the first element of the part.
         shape: shape of the result.
     """
     return flat.reshape(-1)[first : first + math.prod(shape)].reshape(shape)
@@ -245,10 +263,11 @@ class _Waiting(NamedTuple):
 
 
 def prepare(progress: Callable[[int, int], None] | None = None) -> None:
-    """Compile all imported kernels, or load their code, so that no kernel compiles during a tick.
+    """Compile all imported kernels, or load the stored code. Then no kernel is compiled during a tick.
 
     Args:
-        progress: callback with the number of ready kernels and the number of all kernels.
+        progress: function called with the number of kernels that are ready and the number of all
+            kernels.
     """
     report = progress or _ignore_progress
     all_of_them = [_Waiting(name, *kernel) for name, kernel in _KERNELS.items()]
@@ -268,21 +287,24 @@ def _ignore_progress(done: int, total: int) -> None:
 
 
 def _compiled_count(folder: Path, kernels: Sequence[_Waiting]) -> int:
-    """Count the kernels that have code in a folder, by the file names that numba chooses."""
+    """Count the kernels whose compiled code is in a folder.
+
+    The file names, which numba chooses, contain the names of the kernels.
+    """
     files = [name for _, _, names in os.walk(folder) for name in names]
     compiled_names = {name.partition("-")[0] for name in files if name.endswith(".nbi")}
     return sum(".".join(one.name.rsplit(".", 2)[1:]) in compiled_names for one in kernels)
 
 
 def _compile_together(folder: Path, waiting: Sequence[_Waiting], report: Callable[[int, int], None]) -> None:
-    """Compile kernels into the folder, with a process per core. Other processes wait for the lock.
+    """Compile kernels into a folder, with one process per core. Meanwhile a lock makes other users of the folder wait.
 
-    A kernel that cannot be compiled raises its error later, in ``prepare``.
+    If a kernel cannot be compiled, ``prepare`` raises the error later.
 
     Args:
-        folder: folder of the code.
+        folder: folder of the compiled code.
         waiting: kernels without code in the folder.
-        report: callback as in ``prepare``.
+        report: function that reports progress, as ``progress`` in ``prepare``.
     """
     order = sorted(range(len(waiting)), key=lambda i: len(waiting[i].code.py_func.__code__.co_names), reverse=True)
     with contextlib.suppress(OSError), open(folder / "lock", "w") as lock:
@@ -306,7 +328,7 @@ def _compile_together(folder: Path, waiting: Sequence[_Waiting], report: Callabl
 
 
 def _locked(lock: IO[str]) -> bool:
-    """Try to acquire the lock. Return True on success."""
+    """Try to lock the folder of the compiled code. Return True on success."""
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -315,7 +337,10 @@ def _locked(lock: IO[str]) -> bool:
 
 
 def _worker(todo: int, waiting: Sequence[_Waiting]) -> int:
-    """Fork a process that compiles one kernel after the other, and ends. Return its process id."""
+    """Fork a process that compiles one kernel after the other until none is left.
+
+    Return the process id.
+    """
     process = os.fork()
     if process:
         return process

@@ -1,17 +1,20 @@
-"""Order of the colours of digits, so that a digit has the same colour in every figure and on every hand."""
+"""Order of the colours of digits.
+
+The order gives a digit the same colour in every figure and on every hand.
+"""
 
 from collections.abc import Sequence
 
 DIGITS_WITH_COLOUR = ("index", "middle", "ring", "thumb")
-"""Names of digits with a fixed colour. Their order is the order of the colours in each palette."""
+"""Names of the digits with a fixed colour, in the order of the colours in each palette."""
 
 
 def colour_numbers(digit_names: Sequence[str]) -> tuple[int, ...]:
-    """Return the number of each digit's colour in a palette.
+    """Return the number in a palette for the colour of each digit.
 
     The digits in DIGITS_WITH_COLOUR have the first numbers. The other digits of the hand have the
-    next numbers, in order. In a hand without such digits, the other digits have the first numbers.
-    A number may be larger than a palette.
+    next numbers, in order. If a hand has no digit of DIGITS_WITH_COLOUR, the other digits have the
+    first numbers. A number may exceed the size of a palette.
     """
     others = [name for name in digit_names if name not in DIGITS_WITH_COLOUR]
     first = 0 if len(others) == len(digit_names) else len(DIGITS_WITH_COLOUR)

@@ -1,6 +1,6 @@
-"""Task, gains and calibration files: TOML as validated, frozen documents.
+"""Documents, the validated and unchangeable content of TOML files such as task, gains and calibration files.
 
-Each mistake is reported in one line with file, key path, value, and expected value.
+A mistake in a file is reported in one line with file, key path, value and expected value.
 """
 
 import json
@@ -17,7 +17,10 @@ from handctl.printing import similar_name
 
 
 class Document(BaseModel):
-    """Base class of all file models. It refuses unknown keys, infinities, and bool or text in place of a number."""
+    """Base class of the models of all files.
+
+    All models refuse unknown keys, infinities, and bool or text instead of a number.
+    """
 
     model_config = ConfigDict(
         extra="forbid",
@@ -33,7 +36,7 @@ D = TypeVar("D", bound=Document)
 
 
 def load_document(path: Path, model: type[D]) -> D:
-    """Read and validate a TOML file.
+    """Read a TOML file, and validate the content.
 
     Raises:
         ConfigError: the file cannot be read, is not TOML, or has a wrong key or value.
@@ -42,13 +45,13 @@ def load_document(path: Path, model: type[D]) -> D:
 
 
 def validate_content(content: Mapping[str, Any], model: type[D], source: str) -> D:
-    """Validate content parsed from TOML.
+    """Validate content that was parsed from TOML.
 
-    The content goes through JSON. Strict JSON validation accepts a list as tuple and 1 as float,
-    but refuses true.
+    The content is converted to JSON for this. Strict validation of JSON accepts a list as a tuple
+    and 1 as a float, but refuses true.
 
     Raises:
-        ConfigError: a key or value is wrong.
+        ConfigError: a key or a value in the content is wrong.
     """
     try:
         return model.model_validate_json(json.dumps(content, default=str))
@@ -57,10 +60,11 @@ def validate_content(content: Mapping[str, Any], model: type[D], source: str) ->
 
 
 def _error_line(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str) -> ConfigError:
-    """Return the most specific error of pydantic.
+    """Return the most specific of the errors that pydantic has found.
 
-    An unknown key is returned before a missing key, because a misspelt key is both. Otherwise the
-    deepest error is returned. For a union, the error is that of the intended alternative.
+    An unknown key takes precedence over a missing key, because a misspelt key causes both errors.
+    Otherwise the error at the deepest place is returned. In a union, this is the error of the
+    intended alternative.
     """
     details = error.errors(include_url=False)
     deepest = max(details, key=lambda d: len(_without_tags(content, d["loc"], d["type"])))
@@ -80,9 +84,10 @@ def _error_line(error: ValidationError, model: type[BaseModel], content: Mapping
 
 
 def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tuple[str | int, ...]:
-    """Return a location without the names that pydantic adds for the alternatives of a union.
+    """Return the location of an error without the names that pydantic adds for the alternatives of a union.
 
-    Only the last part of a missing key's location may be absent from the content.
+    All parts of a location must exist in the content. Only the last part of a missing key's
+    location does not.
     """
     path: list[str | int] = []
     for position, part in enumerate(location):
@@ -105,7 +110,7 @@ def _nearest(key: str, model: type[BaseModel]) -> str:
 
 
 def _all_keys(annotation: Any) -> set[str]:
-    """Return every key that occurs anywhere in a document."""
+    """Return every key that may occur anywhere in a document of a given model."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         fields = annotation.model_fields
         nested = [_all_keys(field.annotation) for field in fields.values()]

@@ -1,20 +1,27 @@
-"""Errors that are reported to the user. Each is one line: the mistake, its place, and the expected value."""
+"""Errors that handctl reports to the user.
+
+Each message is one line with the mistake, the place of the mistake and the expected value.
+"""
 
 from handctl.printing import one_line_message
 
 REMOVE_POWER = "REMOVE POWER"
-"""Marks a failure after which a motor may still have torque. Only the operator can remove this torque."""
+"""Text that marks a failure after which a motor may still have torque.
+
+Only the operator can remove this torque.
+"""
 
 
 class HandctlError(Exception):
-    """An error with a one-line message: ``what; where; expected right``.
+    """Error with a message of one line: ``what; where; expected right``.
 
     The message is printable and of bounded length.
 
     Args:
-        what: the mistake, with the wrong value.
-        where: key path, node, or file and offset. It is empty without a place.
-        right: the expected value. It is empty without a suggestion.
+        what: the mistake, together with the wrong value.
+        where: place of the mistake: key path, node, or file and offset. The text is empty if the
+            mistake has no place.
+        right: the expected value. The text is empty without a suggestion.
     """
 
     def __init__(self, what: str, where: str = "", right: str = "") -> None:
@@ -26,27 +33,30 @@ class HandctlError(Exception):
 
 
 class ConfigError(HandctlError):
-    """Invalid hand, task, gains, calibration or trajectory file, or invalid command line."""
+    """Error for an invalid hand, task, gains, calibration or trajectory file, or for an invalid command line."""
 
 
 class BusError(HandctlError):
-    """Bus that cannot be opened or is lost."""
+    """Error for a bus that cannot be opened or is lost."""
 
 
 class DriveError(HandctlError):
-    """Motor drive or sensor node that is missing, refuses, or differs from the hand file."""
+    """Error for a motor drive or sensor node that is missing, refuses a command, or differs from the hand file."""
 
 
 class PowerError(DriveError):
-    """Drive that did not confirm that it is disabled. The operator must remove its power."""
+    """Error for a drive that did not confirm that it is disabled.
+
+    The operator must remove the power of the drive.
+    """
 
 
 class UnconfirmedError(PowerError, BusError):
-    """Request without a confirmation of the controller. The state of the hand is unknown.
+    """Error for a request that the controller has not confirmed. The state of the hand is unknown.
 
     Args:
         bus: bus of the controller.
-        word: request, e.g. ``stop``.
+        word: name of the request, e.g. ``stop``.
         why: event that came instead of the confirmation.
     """
 
@@ -55,8 +65,8 @@ class UnconfirmedError(PowerError, BusError):
 
 
 class LogError(HandctlError):
-    """Log that cannot be read or belongs to another hand."""
+    """Error for a log that cannot be read or belongs to another hand."""
 
 
 class IncomparableError(LogError):
-    """Two logs, or a log and a hand, that cannot be compared."""
+    """Error for two logs, or a log and a hand, that cannot be compared."""

@@ -1,7 +1,7 @@
-"""Optional packages: the verbs that need them, and the extras of handctl that install them.
+"""Optional packages, and the extras of handctl that install them.
 
-``pip install handctl`` installs what a controller on a real bus needs. All other packages belong to
-an extra in pyproject.toml.
+``pip install handctl`` installs the packages that a controller on a real bus needs. All other
+packages belong to an extra in pyproject.toml.
 """
 
 import sys
@@ -18,15 +18,15 @@ EXTRAS = {
     "distributed": "dask",
     "gymnasium": "gym",
 }
-"""Import name of each optional package, and the extra that installs it."""
+"""Extra of handctl that installs each optional package, by import name of the package."""
 
 
 class MissingExtraError(ConfigError):
-    """An optional package that is not installed.
+    """Error for an optional package that is needed but not installed.
 
     Args:
-        user: verb or function that needs the package.
-        package: import name.
+        user: command or function that needs the package.
+        package: import name of the package.
     """
 
     def __init__(self, user: str, package: str) -> None:
@@ -37,11 +37,11 @@ def require_extra(user: str, *packages: str) -> None:
     """Check that optional packages are installed, without importing them.
 
     Args:
-        user: verb or function that needs the packages.
-        packages: import names, keys of ``EXTRAS``.
+        user: command or function that needs the packages.
+        packages: import names of the packages, which are keys of ``EXTRAS``.
 
     Raises:
-        MissingExtraError: one is not installed.
+        MissingExtraError: one of the packages is not installed.
     """
     for package in packages:
         if not is_installed(package):
@@ -49,14 +49,14 @@ def require_extra(user: str, *packages: str) -> None:
 
 
 def is_installed(package: str) -> bool:
-    """Return True if a package can be imported, without importing it."""
+    """Return True if a package could be imported. The package is not imported."""
     if package in sys.modules:
         return sys.modules[package] is not None
     return find_spec(package) is not None
 
 
 def extras_installed() -> dict[str, bool]:
-    """Return for each extra True if all its packages are installed."""
+    """Return the extras of handctl by name, True if all packages of the extra are installed."""
     return {
         extra: all(is_installed(package) for package, other in EXTRAS.items() if other == extra)
         for extra in EXTRAS.values()
@@ -64,14 +64,15 @@ def extras_installed() -> dict[str, bool]:
 
 
 def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:
-    """Translate a failed import.
+    """Translate the error of a failed import to an error that names the extra to install.
 
     Args:
-        user: verb or function that needs the package.
-        error: the failed import.
+        user: command or function that needs the package.
+        error: error of the failed import.
 
     Returns:
-        The error that names the extra, or None if the package is not an optional one.
+        the error that names the extra, or None if the missing package is not an optional package of
+        handctl.
     """
     package = (error.name or "").partition(".")[0]
     return MissingExtraError(user, package) if package in EXTRAS else None

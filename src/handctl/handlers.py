@@ -1,4 +1,4 @@
-"""Temporary signal handlers."""
+"""Signal handlers that are installed for a limited time."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -8,11 +8,11 @@ from types import FrameType
 
 @contextmanager
 def installed_handler(handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals) -> Iterator[None]:
-    """Install a signal handler for a block and restore the previous handlers.
+    """Install a signal handler for the duration of a block, then restore the previous handlers.
 
     Args:
-        handler: handler of all signals.
-        numbers: signals.
+        handler: handler of all these signals.
+        numbers: signals to handle.
     """
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
@@ -23,7 +23,7 @@ def installed_handler(handler: Callable[[int, FrameType | None], None], *numbers
 
 
 class TerminationFlag:
-    """Flag that SIGTERM sets, so that a step in progress is completed."""
+    """Flag that SIGTERM sets. A program that checks the flag completes the step in progress."""
 
     def __init__(self) -> None:
         self.asked = False

@@ -1,11 +1,12 @@
 """Loading of stored kernels without the parts of numba that only compilation needs.
 
-numba loads a stored function by three steps that take most of the time. First, numba registers all
-types and functions that can be compiled. Second, it imports the modules of the numba functions that
-the stored function contains. Third, it parses the intermediate code (bitcode) of the stored
-function, which other functions need to inline it. A program that finds all kernels in the folder
-compiles nothing, and needs none of these steps. numba registers its types if it compiles later, and
-the bitcode of a kernel is parsed if another kernel calls it.
+When numba loads a stored function, three steps take most of the time. First, numba registers all
+types and functions that can be compiled. Second, numba imports the modules of the numba functions
+that the stored function contains. Third, numba parses the intermediate code (bitcode) of the stored
+function, which is needed only to inline this function into others. A program that finds the code of
+all kernels in the folder compiles nothing, and needs no such step. If a function is compiled later,
+numba registers the types then. If a kernel calls another kernel, the bitcode of the called kernel
+is parsed then.
 
 These steps are internal to numba. They are left out only for the versions of numba in
 ``TESTED_VERSIONS``.
@@ -23,19 +24,19 @@ from numba.core import environment as _environment
 from numba.core import runtime as _runtime
 
 TESTED_VERSIONS = ((0, 68),)
-"""Versions of numba for which these steps were left out in a test."""
+"""Versions of numba with which this module was tested."""
 
 codegen: Any = _codegen
 environment: Any = _environment
 runtime: Any = _runtime
-"""Internal modules of numba. They have no type information."""
+"""Internal module of numba without type information, like the two modules above."""
 
 
 def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
-    """Load the stored code of a kernel into its dispatcher. Without stored code nothing happens.
+    """Load the stored code of a kernel into the dispatcher. Without stored code, do nothing.
 
     Args:
-        dispatcher: dispatcher of the kernel, with a cache.
+        dispatcher: numba dispatcher of the kernel, which has a cache.
         types: numba types of the arguments.
     """
     version: Any = numba.version_info
@@ -51,7 +52,7 @@ def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
 
 @contextmanager
 def _without_compiler(context: Any) -> Iterator[None]:
-    """Let numba load stored code without registering types and without parsing bitcode, inside this context."""
+    """Let numba load stored code without registering types and parsing bitcode, inside this context."""
     runtime.rtsys.initialize(context)  # counts references to arrays. numba does this when it registers its types
     library: Any = codegen.CPUCodeLibrary
     before = library.__dict__["_unserialize"]
@@ -70,15 +71,17 @@ def _without_compiler(context: Any) -> Iterator[None]:
 
 
 def _do_nothing() -> None:
-    """Do nothing, in place of the registration of types."""
+    """Do nothing. This function replaces numba's registration of types."""
 
 
 def _without_module(module: str, constants: list[Any], name: str) -> Any:
-    """Return the constants of a function. numba also imports its module, of which only interpreted code uses variables.
+    """Return the constants of a function.
+
+    The original of numba also imports the module, which only interpreted code needs.
 
     Args:
         module: name of the module.
-        constants: Python objects that the code refers to by number.
+        constants: Python objects to which the code refers by number.
         name: name under which the code finds the constants.
     """
     found = environment.lookup_environment(name)
@@ -91,7 +94,10 @@ def _without_module(module: str, constants: list[Any], name: str) -> Any:
 
 
 def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[bytes, bytes]]) -> Any:
-    """Return a library from its object code. Its bitcode is parsed when another library links it."""
+    """Return a code library that is made from object code.
+
+    The bitcode is parsed only when another library links this library.
+    """
     name, _, (object_code, bitcode) = state
     library = generator.create_library(name)
     library.enable_object_caching()
@@ -102,13 +108,16 @@ def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[byt
 
 
 def _parsed(library: Any, bitcode: bytes) -> Any:
-    """Return the module for linking, parsed at the first call."""
+    """Return the module of a code library for linking. The first call parses the module."""
     if library._shared_module is None:
         library._shared_module = binding.parse_bitcode(bitcode)
     return library._shared_module
 
 
 def _get_executable(rebuild: Any, library: Any, function: Any, environment: Any) -> Any:
-    """Return the Python function of a library. numba would look up its name in the parsed bitcode."""
+    """Return the Python function of a code library.
+
+    The original of numba looks up the function's name in the parsed bitcode.
+    """
     library.codegen._engine._defined_symbols.add(function.llvm_cpython_wrapper_name)
     return rebuild(library, function, environment)

@@ -1,4 +1,7 @@
-"""Atomic output files: a reader finds the old file or the complete new file."""
+"""Output files that are written atomically.
+
+A reader finds either the old file or the complete new file.
+"""
 
 import errno
 import os
@@ -12,7 +15,7 @@ from typing import Any
 from handctl.errors import ConfigError
 
 NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
-"""Errors of file systems without links, such as FAT on a memory stick."""
+"""Error numbers of file systems that have no links, such as FAT on a memory stick."""
 LOG_SUFFIX, LOG_MAGIC = ".mcap", b"\x89MCAP0\r\n"
 """Suffix and first bytes of a log. An output never overwrites a log."""
 FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
@@ -21,19 +24,19 @@ FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
 
 @contextmanager
 def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
-    """Yield a temporary path, and move it to ``path`` when its content is on the disk.
+    """Yield a temporary path. When the content is on the disk, move the file to ``path``.
 
-    After a power cut, too, the path leads to the complete old file or the complete new file. A
-    failed output leaves no file. Links are followed. An existing terminal or pipe is written
-    directly.
+    Even after a power cut, the path leads to the complete old file or the complete new file. If the
+    output fails, no temporary file remains. Links are followed. Output to an existing terminal or
+    pipe is written directly.
 
     Args:
         path: path of the output.
-        new: refuse an existing path.
+        new: True to refuse a path that exists.
 
     Raises:
         ConfigError: the path cannot be written.
-        OSError: writing failed. The error names ``path``.
+        OSError: writing has failed. The error names ``path`` instead of the temporary path.
     """
     target = _resolve_target(path, new)
     if target.exists() and not target.is_file():
@@ -56,7 +59,7 @@ def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
 
 
 def path_with_suffix(path: Path, suffix: str) -> Path:
-    """Return the path of an output beside its source: the same path with another suffix.
+    """Return the path of an output beside its source. The output has the path of the source with another suffix.
 
     Raises:
         ConfigError: the path has no file name, e.g. ``.`` or ``/``.
@@ -67,15 +70,15 @@ def path_with_suffix(path: Path, suffix: str) -> Path:
 
 
 def write_text_atomically(path: Path, text: str, new: bool = False) -> None:
-    """Write text atomically, see ``atomic_path``."""
+    """Write text to a file atomically, see ``atomic_path``."""
     with atomic_path(path, new) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
-    """Write a figure of matplotlib atomically, with the version of handctl in its metadata.
+    """Write a figure of matplotlib atomically, with the version of handctl in the metadata.
 
-    See ``atomic_path``.
+    For the rules and the errors, see ``atomic_path``.
     """
     creator = f"handctl {version('handctl')}"
     kind = path.suffix[1:] if path.suffix in FIGURE_SUFFIXES else "png"
@@ -89,15 +92,15 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
 
 
 def check_output(path: Path, what: str, *read: Path | None) -> None:
-    """Refuse an output path before the work begins, by the rules of ``atomic_path``.
+    """Check an output path by the rules of ``atomic_path``, before the work begins.
 
     Args:
         path: path of the output.
-        what: name of the output in the message, e.g. its option.
-        read: input files of the same verb.
+        what: name of the output in the error message, e.g. the option.
+        read: input files of the same command.
 
     Raises:
-        ConfigError: the path cannot be written, or is an input.
+        ConfigError: the path cannot be written or is that of an input.
     """
     try:
         target = _resolve_target(path, False)
@@ -108,13 +111,13 @@ def check_output(path: Path, what: str, *read: Path | None) -> None:
 
 
 def _is_same_file(target: Path, other: Path) -> bool:
-    """Return True if two paths lead to one file. The file need not exist."""
+    """Return True if two paths lead to the same file. The file need not exist."""
     there = target.exists() and other.exists()
     return target.samefile(other) if there else str(target) == os.path.realpath(other)
 
 
 def _resolve_target(path: Path, new: bool) -> Path:
-    """Return the target of a path, links followed."""
+    """Check the path of an output, and return the path behind all links."""
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise ConfigError("no such folder", str(path), "a name in a folder that exists")
@@ -129,9 +132,10 @@ def _resolve_target(path: Path, new: bool) -> Path:
 
 @contextmanager
 def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
-    """Refuse a named pipe without a reader, because opening it would wait forever.
+    """Raise an error for a named pipe without a reader, because opening such a pipe would wait forever.
 
-    The pipe stays open during the block, because its reader ends when the last writer closes it.
+    The pipe stays open during the block. Otherwise the reader would end as soon as the last writer
+    closes the pipe.
     """
     if not target.is_fifo():
         yield
@@ -149,7 +153,7 @@ def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
 
 
 def _is_log(path: Path) -> bool:
-    """Return True if a file begins with the first bytes of a log. Its name does not matter."""
+    """Return True if a file of any name begins with the first bytes of a log."""
     with suppress(PermissionError), path.open("rb") as file:
         return file.read(len(LOG_MAGIC)) == LOG_MAGIC
     return False
@@ -157,7 +161,7 @@ def _is_log(path: Path) -> bool:
 
 @contextmanager
 def _with_user_path(path: Path, written: Path) -> Iterator[None]:
-    """Replace the temporary path in errors by the path that the user gave."""
+    """Replace the temporary path in errors by the path that the user has given."""
     try:
         yield
     except OSError as error:
@@ -168,7 +172,10 @@ def _with_user_path(path: Path, written: Path) -> Iterator[None]:
 
 
 def _move_into_place(beside: Path, target: Path, new: bool) -> None:
-    """Move a file to its path. A new file never replaces a file of another process."""
+    """Move a finished file to the path of the output.
+
+    A file that must be new never replaces a file of another process.
+    """
     if new and beside.is_file():
         try:
             os.link(beside, target)

@@ -1,8 +1,8 @@
-"""Safe text output.
+"""Output of text that is safe for a terminal.
 
-Text from files, logs and arguments is printed so that it cannot control a terminal or fill the
-screen. Characters that are not printable are escaped as in Python source: control characters,
-terminal escapes, marks of text direction, and lone surrogates.
+Text from files, logs and arguments must not control a terminal or fill the screen. So characters
+that are not printable are escaped as in Python source: control characters, terminal escapes, marks
+of text direction, and lone surrogates.
 """
 
 import difflib
@@ -12,19 +12,19 @@ from contextlib import contextmanager
 from typing import Any, cast
 
 LONGEST_MESSAGE = 500
-"""Maximum length of a message [characters]."""
+"""Largest length of a printed message [characters]."""
 LONGEST_WORD = 60
-"""Maximum length of a word that is compared with names or quoted [characters]."""
+"""Largest length of a word that is quoted, or compared with names [characters]."""
 OMISSION_MARK = " [...] "
-"""Replaces the middle of a longer message."""
+"""Text that replaces the middle of a longer message."""
 
 
 def escape_text(text: str, kept: str = "") -> str:
-    """Escape the characters that are not printable.
+    """Escape the characters of a text that are not printable.
 
     Args:
-        text: any text.
-        kept: characters to leave as they are, such as line ends.
+        text: text to escape.
+        kept: characters that stay as they are, such as line ends.
     """
     if text.isprintable():
         return text
@@ -32,31 +32,32 @@ def escape_text(text: str, kept: str = "") -> str:
 
 
 def _escape(character: str) -> str:
-    """Write one character as Python's source does."""
+    """Return a character in the spelling of Python source."""
     return character.encode("unicode_escape", "replace").decode()
 
 
 def printable_text(text: str, most: int = 200) -> str:
-    """Escape text and cut it after ``most`` characters."""
+    """Escape a text, and cut the result after ``most`` characters."""
     return escape_text(text[:most]) + ("..." if len(text) > most else "")
 
 
 def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return the name that is most similar to a word, empty if no name is similar.
+    """Return the name that is most similar to a word. The text is empty if no name is similar.
 
     Args:
-        word: a word that was typed or read, of any length.
+        word: word of any length that was typed or read from a file.
         names: the valid names.
-        cutoff: lowest similarity, from 0 (none) to 1 (equal).
+        cutoff: lowest similarity that is accepted, from 0 (none) to 1 (equal).
     """
     near = difflib.get_close_matches(word[:LONGEST_WORD], list(names), n=1, cutoff=cutoff)
     return near[0] if near else ""
 
 
 def one_line_message(text: str, most: int = LONGEST_MESSAGE) -> str:
-    """Return one line of bounded length. Line ends become spaces. The middle of a long text is left out.
+    """Return a text as one line of limited length. Line ends become spaces. The middle of a long text is left out.
 
-    The mistake is at the beginning of a message, the expected value at its end.
+    The beginning of a message has the mistake, and the end has the expected value, so both are
+    kept.
     """
     if len(text) > 4 * most:  # escaping never makes a text shorter
         text = text[: 2 * most] + text[-2 * most :]
@@ -68,16 +69,23 @@ def one_line_message(text: str, most: int = LONGEST_MESSAGE) -> str:
 
 
 def escape_surrogates(text: str) -> str:
-    """Escape lone surrogates, which stand for the bytes of a name that is not UTF-8 and have no encoding."""
+    """Escape lone surrogates, which cannot be encoded.
+
+    Lone surrogates stand for the bytes of a file name that is not UTF-8.
+    """
     return text.encode("utf-8", "backslashreplace").decode()
 
 
 class EscapedStream:
-    """Text stream that escapes characters that are not printable. Line ends and tabs remain."""
+    """Text stream that escapes all characters that are not printable, except line ends and tabs."""
 
     def __init__(self, stream: Any) -> None:
         self.rich_proxied_file = stream
-        """The original stream. ``rich`` writes its own escapes there, see ``cli.console.screen``."""
+        """The original stream.
+
+        The package ``rich`` writes escapes directly to the original stream, see
+        ``cli.console.screen``.
+        """
 
     def write(self, text: str) -> int:
         """Write escaped text."""
@@ -95,7 +103,7 @@ class EscapedStream:
 
 @contextmanager
 def escaped_streams() -> Iterator[None]:
-    """Escape all text on standard output and standard error during a block."""
+    """Escape all text that is written to standard output and standard error during a block."""
     before = sys.stdout, sys.stderr
     out, err = (one if isinstance(one, EscapedStream) else EscapedStream(one) for one in before)
     sys.stdout, sys.stderr = cast(Any, out), cast(Any, err)

@@ -1,4 +1,4 @@
-"""Copies of this process for parallel work, and the number of available cores."""
+"""Forked copies of this process for parallel work, and the number of available cores."""
 
 import os
 import signal
@@ -12,13 +12,14 @@ def usable_cores() -> int:
 
 
 def run_in_copy(work: Callable[[], str]) -> tuple[int, int]:
-    """Run a function in a copy of this process. The copy ends without the exit handlers of the original.
+    """Run a function in a forked copy of this process. The copy ends without running the exit handlers of this process.
 
     Args:
-        work: function to run. Its result is written into a pipe.
+        work: function to run. The copy writes the result into a pipe.
 
     Returns:
-        Process, and reading end of the pipe. If the function fails, the exit status is 1 and the traceback is printed.
+        process id of the copy, and reading end of the pipe. If the function fails, the copy prints
+        the traceback and ends with status 1.
     """
     reading, writing = os.pipe()
     process = os.fork()

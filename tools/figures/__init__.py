@@ -1,1 +1,4 @@
-"""Figures of the README and the site, drawn by ``make figures`` in one style from runs of the simulated hand."""
+"""The figures of the README and the site.
+
+``make figures`` draws them in one style, from runs of the simulated hand.
+"""

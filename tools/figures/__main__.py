@@ -1,4 +1,7 @@
-"""Draw the figures: ``python -m tools.figures [NAME ...]``. Runs are in build/figures, pictures go to docs/figures."""
+"""Draw the figures: ``python -m tools.figures [NAME ...]``.
+
+It stores runs in build/figures, and pictures in docs/figures.
+"""
 
 import argparse
 import contextlib
@@ -32,7 +35,7 @@ PICTURES: dict[str, Callable[[Path], Path]] = {
 
 
 def draw_paper() -> None:
-    """Draw the figures of the source paper, from the experiments in docs/evidence."""
+    """Draw the figures that repeat those of the source paper, from the experiments in docs/evidence."""
     results = ROOT / "docs" / "evidence" / "paper-results.json"
     with contextlib.redirect_stdout(io.StringIO()):
         handctl(["paper", "--json", "--figures", str(FOLDER), "--results", str(results)])
@@ -45,12 +48,12 @@ OTHERS: dict[str, Callable[[], None]] = {
     "paper": draw_paper,
 }  # fmt: skip
 SLOW = ("tune-search", "tune-verify")
-"""Pictures that take minutes each, and are drawn only on request by name."""
+"""Pictures that take minutes each. They are drawn only if their names are given."""
 NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, *OTHERS)
 
 
 def main() -> int:
-    """Draw all figures, or some of them. Return the exit code."""
+    """Draw all figures, or those whose names are given. Return the exit code."""
     parser = argparse.ArgumentParser(description="Draw the figures of README and site, and write the demo's numbers.")
     parser.add_argument("names", nargs="*", metavar="NAME",
                         help=f"{', '.join(NAMES)} "

@@ -1,4 +1,4 @@
-"""Diagrams: architecture, control, wiring, tendon, modes of the hand."""
+"""The diagrams: architecture, control law, wiring, tendon, and modes of the hand."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from tools.figures.style import DIGITS, FAULT, INK
 
 
 def architecture() -> Any:
-    """Draw the processes and files of a run."""
+    """Draw the architecture: the processes and files of a run."""
     figure, axes = plane(8.6, 4.6, (17.2, 9.2))
     area(axes, (4.0, 2.7), (6.2, 6.2), "controller: one process, one thread")
     block(axes, (0.2, 6.8), (3.0, 1.2), "command line\nrun, stop, gains set")
@@ -141,7 +141,7 @@ def wiring() -> Any:
 
 
 def tendon() -> Any:
-    """Draw motor, spool, load cell, pulleys and joints of a digit with their symbols."""
+    """Draw motor, spool, load cell, pulleys and joints of a digit, each with its symbol."""
     from matplotlib.patches import Arc
 
     figure, axes = plane(8.6, 2.9, (17.2, 5.8))
@@ -181,7 +181,7 @@ def tendon() -> Any:
 
 
 def modes() -> Any:
-    """Draw the modes of the hand and the ways between them."""
+    """Draw the modes of the hand and the transitions between the modes."""
     figure, axes = plane(8.8, 4.0, (17.6, 8.0))
     row = {"SILENT": 0.3, "INVENTORY": 3.5, "READY": 6.9, "ARMING": 10.1, "ACTIVE": 13.3}
     texts = ("listen,\nsend nothing", "query, configure,\nread back", "all have\nanswered", "enable the\ndrives",

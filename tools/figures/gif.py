@@ -1,4 +1,4 @@
-"""The moving picture of a grasp: the demo's true poses, rendered by MuJoCo without a screen."""
+"""The animated picture of a grasp. MuJoCo renders the true poses of the demo without a screen."""
 
 import os
 from pathlib import Path
@@ -13,18 +13,18 @@ from tools.figures import runs
 from tools.figures.style import CREATOR, DIGITS
 
 SIZE = (480, 400)
-"""Width and height [pixels]."""
+"""Width and height of the picture [pixels]."""
 RATE_HZ = 12.5
-"""Pictures per second of the run."""
+"""Pictures per second of simulated time."""
 COLOURS = 160
 SAMPLES = 8
-"""Colours of the file, and pictures from which they are chosen."""
+"""Number of colours in the file, and number of pictures from which the colours are chosen."""
 LARGEST_BYTES = 3_000_000
-"""Largest size of the file."""
+"""Largest allowed size of the file [bytes]."""
 SKY = """<asset><texture type="skybox" builtin="gradient" rgb1="0.95 0.97 0.99" rgb2="0.78 0.83 0.88"
   width="32" height="192"/></asset>"""
 ARROW_M_PER_N = 0.006
-"""Length of the arrow of a contact force."""
+"""Length of the arrow of a contact force, for each newton [m/N]."""
 
 
 def rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
@@ -34,10 +34,10 @@ def rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
 
 
 def write(folder: Path, path: Path) -> None:
-    """Render the demo's grasp as an animated GIF.
+    """Render the grasp of the demo as an animated GIF.
 
     Raises:
-        RuntimeError: the file is larger than a README may carry.
+        RuntimeError: the file has more than ``LARGEST_BYTES``.
     """
     os.environ.setdefault("MUJOCO_GL", "egl")
     from PIL import Image
@@ -52,7 +52,7 @@ def write(folder: Path, path: Path) -> None:
 
 
 def sheet(pictures: list[Any]) -> Any:
-    """Return pictures below each other, so that a palette has the colours of all of them."""
+    """Join pictures one below the other, so that one palette can have the colours of all."""
     from PIL import Image
 
     made = Image.new("RGB", (SIZE[0], SIZE[1] * len(pictures)))
@@ -62,7 +62,7 @@ def sheet(pictures: list[Any]) -> Any:
 
 
 def frames(folder: Path) -> list[Any]:
-    """Return the pictures, (height, width, 3) each."""
+    """Return the pictures of the grasp, each an array (height, width, 3)."""
     import mujoco  # type: ignore[import-untyped,unused-ignore]
 
     log, truth, _ = runs.grasp(folder)
@@ -102,7 +102,7 @@ def frames(folder: Path) -> list[Any]:
 
 
 def paint(mujoco: Any, model: Any) -> None:
-    """Give links, palm, object and table their colours."""
+    """Set the colours of links, palm, object and table in the model."""
     for geom in range(model.ngeom):
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom])
         digit = body.partition("_")[0]
@@ -113,7 +113,7 @@ def paint(mujoco: Any, model: Any) -> None:
 
 
 def add_arrow(mujoco: Any, scene: Any, start: Any, force: Any, colour: tuple[float, float, float, float]) -> None:
-    """Add the arrow of a contact force [N] at a point."""
+    """Add an arrow for a contact force [N] at a point of the scene."""
     if np.linalg.norm(force) < 0.2 or scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]

@@ -1,4 +1,7 @@
-"""The table of the demo's numbers in README and site, between marks that name its command."""
+"""The table with the numbers of the demo, in README and site.
+
+It lies between marks that name the demo's command.
+"""
 
 import math
 import re
@@ -8,17 +11,17 @@ from typing import Any
 from tools.figures import runs
 
 TABLE_PATTERN = re.compile(r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)(<!-- end of measured -->)", re.DOTALL)
-"""Place of the table in a page."""
+"""Pattern of the marks in a page, and of the table between them."""
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return the table of a result of ``handctl demo --lockstep --json``."""
+    """Return the table for a result that ``handctl demo --lockstep --json`` has printed."""
     rows = "\n".join(f"| {name} | {value} |" for name, value in rows_of(result))
     return f"| `handctl demo --lockstep` prints, among others | |\n|---|---|\n{rows}\n"
 
 
 def rows_of(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return name and value of each number."""
+    """Return the name and the value of each number in the table."""
     assumed = result["joint_angles"]["index"]["error_deg"]
     tracking = math.degrees(result["tracking_rmse_rad"])
     return [
@@ -34,7 +37,7 @@ def rows_of(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def write(root: Path, folder: Path) -> None:
-    """Write the table into every page that has a place for it."""
+    """Write the table into every page that has its marks."""
     _, _, result = runs.grasp(folder)
     for path in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
         text = path.read_text(encoding="utf-8")

@@ -12,17 +12,17 @@ from tools.figures import runs
 from tools.figures.style import BLOCKS, COMMAND, DIGITS, ESTIMATE, FAULT, INK, RAW, TRUTH, new_figure
 
 POINTS_LIMIT = 1500
-"""Points of a curve in an SVG."""
+"""Maximum number of points of a curve in an SVG."""
 
 
 def thinned(t: Any, *curves: Any) -> tuple[Any, ...]:
-    """Return every n-th point of curves, so that none has more than POINTS_LIMIT."""
+    """Return every n-th point of curves, so that no curve has more than POINTS_LIMIT points."""
     step = max(1, len(t) // POINTS_LIMIT)
     return tuple(values[::step] for values in (t, *curves))
 
 
 def estimate(folder: Path) -> Any:
-    """Plot raw load cell, estimate with its band, and truth, in motion and at contact."""
+    """Plot the raw load cell, the estimate with its band, and the true tension, in motion and at contact."""
     log, truth, _ = runs.grasp(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     true = truth.at("tension/index_tendon", log.t_ns + offset)
@@ -48,7 +48,7 @@ def estimate(folder: Path) -> Any:
 
 
 def snapped_tendon(folder: Path) -> Any:
-    """Plot tension, torque and mode around a tendon that snaps."""
+    """Plot tension, torque and mode before and after a tendon snaps."""
     del folder
     run = runs.snap()
     ms = run.t * 1e3
@@ -105,12 +105,12 @@ def tip_force(folder: Path) -> Any:
 
 
 def _draw_tip_forces(row: Any, run: runs.Recording, commanded: Any) -> None:
-    """Draw a panel for each digit.
+    """Draw the tip forces of each digit in a panel.
 
     Args:
         row: axes of the digits.
-        run: recording whose holds have their numbers as names.
-        commanded: command of each hold, for each digit [N].
+        run: recording in which the phases that hold a force are named 0, 1 and so on.
+        commanded: commanded tip force of each hold and digit [N].
     """
     phases = np.array(run.phase)
     part = run.t >= run.t[phases == "0"][0] - 0.4
@@ -127,7 +127,7 @@ def _draw_tip_forces(row: Any, run: runs.Recording, commanded: Any) -> None:
 
 
 def replayed(folder: Path) -> Any:
-    """Plot angles and tensions of a grasp and of its replay on a hand with other noise."""
+    """Plot the angles and tensions of a grasp, and of a replay of the grasp on a hand with other noise."""
     log, _, _ = runs.grasp(folder)
     again = runs.replay(folder)
     start, end = runs.interval(log)
@@ -162,14 +162,15 @@ def replayed(folder: Path) -> Any:
 
 
 def bus_tick(folder: Path) -> Any:
-    """Plot the frames of one tick on the bus, with the longest time of each."""
+    """Plot the frames of one tick on the bus, each with the longest time that it can take."""
     del folder
     (load,) = bus_loads(load_hand("jamia"))
     rows = [row for row in load.rows if row.per_tick >= 1.0]
     figure = new_figure(8.6, 2.9)
     axes = figure.add_subplot()
     lanes = {"host": 2, "drives": 1, "sensor node": 0}
-    # The host's frames wait in the order of sending. Of the answers the lowest identifier is sent first.
+    # The frames of the host are sent in the order of queueing. Of the waiting answers, the one with
+    # the lowest identifier is sent first.
     commands = [("host", "SYNC", "SYNC", INK), *(("host", f"{name}_motor", name, DIGITS[name]) for name in DIGITS)]
     answers = [
         *(("drives", f"{name}_motor", name, DIGITS[name]) for name in DIGITS),
@@ -179,7 +180,7 @@ def bus_tick(folder: Path) -> Any:
     for lane, what, label, colour in [*commands, *answers]:
         us = 1e6 * next(row.frame_s for row in rows if row.what == what)
         axes.barh(lanes[lane], us - 6.0, left=at, color=colour, height=0.55)
-        # The label of a short frame is vertical.
+        # The label of a short frame is written vertically.
         turned = 90.0 if us < 100.0 else 0.0
         axes.text(at + us / 2.0 - 3.0, lanes[lane], label, ha="center", va="center", color="white", fontsize=7,
                   rotation=turned)  # fmt: skip

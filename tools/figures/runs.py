@@ -1,6 +1,6 @@
-"""Runs of the simulated hand for the figures.
+"""Runs of the simulated hand that the figures show.
 
-All runs are in lockstep, so that they are reproducible.
+All runs are in lockstep and therefore reproducible.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ DEMO = ("demo", "--lockstep", "--json")
 """Arguments of the run whose numbers are in the README."""
 RATE_HZ = 500.0
 SNAP_S = 0.25
-"""Time after the snap in the figure [s]."""
+"""Time after the snap that the figure shows [s]."""
 TIP_HAND, TIP_RATE_HZ = "jamia11", 200.0
 TIP_COMMANDS_N = (2.0, 4.0, 6.0)
 GRIP_COMMANDS_N = (1.0, 1.5, 2.0)
@@ -55,10 +55,10 @@ drop_when = "never"
 
 @dataclass
 class Recording:
-    """Numbers of a run, tick by tick.
+    """Recorded numbers of a run, one for each tick.
 
     Attributes:
-        t: (ticks,) time [s].
+        t: (ticks,) time of each tick [s].
         values: arrays by name: telemetry fields, ``true_tension``, ``true_torque``, ``true_contact``.
         phase: name of the phase in each tick.
         mode: mode of the hand in each tick.
@@ -73,16 +73,16 @@ class Recording:
 
 
 FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
-"""Telemetry of a recording."""
+"""Telemetry fields in a recording."""
 
 
 def record(run: Simulation, seconds: float, until: str = "") -> Recording:
-    """Continue and record a run until a phase begins, the hand is done, or the time is over.
+    """Continue a run and record it, until a phase begins, the hand is done, or the time is over.
 
     Args:
-        run: simulation in any stage.
-        seconds: longest time [s].
-        until: phase that ends the recording.
+        run: simulation to continue, in any phase.
+        seconds: longest duration of the recording [s].
+        until: phase at whose begin the recording ends.
     """
     rows: dict[str, list[Array]] = {name: [] for name in (*FIELDS, "true_tension", "true_torque", "true_contact")}
     made = Recording(np.zeros(0), {}, [], [])
@@ -110,7 +110,7 @@ def record(run: Simulation, seconds: float, until: str = "") -> Recording:
 
 
 def grasp(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
-    """Run the demo, and return its log, the plant's truth, and the printed result."""
+    """Run the demo. Return its log, the true state of the plant, and the printed result."""
     log = folder / "grasp.mcap"
     printed = folder / "grasp.json"
     if not printed.exists():
@@ -124,13 +124,16 @@ def grasp(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
 
 
 def run_picture(folder: Path) -> Path:
-    """Return the picture that the demo itself has drawn."""
+    """Return the path of the picture that the demo itself has drawn."""
     grasp(folder)
     return folder / "grasp.png"
 
 
 def view_picture(folder: Path) -> Path:
-    """Draw the demo's log in Rerun, while the hand holds the object. A Vulkan driver is required."""
+    """Draw the demo's log in the viewer Rerun, at a time when the hand holds the object.
+
+    This needs a Vulkan driver.
+    """
     log, _, _ = grasp(folder)
     at_s = next(change.t_ns for change in log.phases if change.name == "hold") * 1e-9 + 2.5
     path = folder / "view.png"
@@ -140,7 +143,7 @@ def view_picture(folder: Path) -> Path:
 
 
 def replay(folder: Path) -> Recording:
-    """Drive the demo's log again, on a hand with other noise."""
+    """Replay the demo's log on a simulated hand with other noise, and record the run."""
     log, _, _ = grasp(folder)
     program: Program = playback_program(log, 1.0 / RATE_HZ, False)
     hand = load_hand("jamia")
@@ -150,12 +153,12 @@ def replay(folder: Path) -> Recording:
 
 
 def interval(log: RunLog) -> tuple[float, float]:
-    """Return begin and end of the part of a log that a replay repeats [s]."""
+    """Return the begin and the end [s] of the part of a log that a replay repeats."""
     return active_interval(log)
 
 
 def snap() -> Recording:
-    """Snap the index finger's tendon in a grasp."""
+    """Record a grasp in which the tendon of the index finger snaps."""
     with homed_run(load_hand("jamia"), RATE_HZ, 0) as run:
         advance_to(run, "grasp")
         record(run, 0.5)
@@ -169,15 +172,15 @@ def snap() -> Recording:
 
 
 def tip_on_wall() -> Recording:
-    """Press on a wall with three commanded tip forces, with the hand that has a tendon at every joint."""
+    """Record a hand with a tendon at every joint that presses on a wall with three commanded tip forces."""
     opened = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
     return _press(WALL, opened, 60.0, [{"tip_force_N": force} for force in TIP_COMMANDS_N])
 
 
 def tip_in_grasp() -> Recording:
-    """Hold a cylinder with three commanded tip forces of each finger.
+    """Record a hand that holds a cylinder with three commanded tip forces of each finger.
 
-    The force of the thumb is the sum of the forces of the fingers.
+    The commanded force of the thumb is the sum of those of the fingers.
     """
     opened = {**dict.fromkeys(FINGERS, 15.0), "thumb": 8.0}
     closed = {**dict.fromkeys(FINGERS, 60.0), "thumb": 45.0}
@@ -186,7 +189,10 @@ def tip_in_grasp() -> Recording:
 
 
 def _press(scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]) -> Recording:
-    """Close the hand with a tendon at every joint on an object, and run holds, which are named 0, 1 and so on."""
+    """Close a hand with a tendon at every joint on an object.
+
+    Then record holds, named 0, 1 and so on.
+    """
     hand = load_hand(TIP_HAND)
     phases: list[dict[str, Any]] = [
         {"kind": "move", "angle_deg": opened, "duration_s": 0.8},
@@ -200,9 +206,9 @@ def _press(scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]) ->
 
 
 def training_picture(folder: Path) -> Path:
-    """Run ``examples/train_policy.py``, and return its picture."""
+    """Run ``examples/train_policy.py``, and return the path of its picture."""
     program = Path(__file__).parents[2] / "examples" / "train_policy.py"
-    # matplotlib reads the file of this name in the folder of the process.
+    # matplotlib reads its settings from a file of this name in the folder of the process.
     style = "".join(f"{key}: {value}\n" for key, value in SETTINGS.items())
     (folder / "matplotlibrc").write_text(style, encoding="utf-8")
     subprocess.run([sys.executable, str(program)], cwd=folder, check=True, stdout=subprocess.DEVNULL)

@@ -1,4 +1,7 @@
-"""Blocks, arrows and labels of the diagrams, in a plane whose units are chosen by each diagram."""
+"""Blocks, arrows and labels of the diagrams, in a plane.
+
+Each diagram chooses the units of its plane.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,7 +13,7 @@ Point = tuple[float, float]
 
 
 def plane(width: float, height: float, size: Point) -> tuple[Any, Any]:
-    """Return a figure [inch] and axes without frame that span `size` units."""
+    """Return a figure of a width and height [inch], and axes without a frame that span ``size`` units."""
     figure = new_figure(width, height)
     axes = figure.add_subplot()
     axes.set(xlim=(0.0, size[0]), ylim=(0.0, size[1]), aspect="equal")
@@ -19,7 +22,7 @@ def plane(width: float, height: float, size: Point) -> tuple[Any, Any]:
 
 
 def block(axes: Any, corner: Point, size: Point, text: str, subject: str = "host", fontsize: float = 8.5) -> None:
-    """Draw a block with a text in its middle. The subject selects the colour."""
+    """Draw a block with a text in its middle. The subject selects the colour of the block."""
     from matplotlib.patches import FancyBboxPatch
 
     style = "round,pad=0,rounding_size=0.12"
@@ -31,7 +34,7 @@ def block(axes: Any, corner: Point, size: Point, text: str, subject: str = "host
 
 
 def area(axes: Any, corner: Point, size: Point, text: str) -> None:
-    """Draw a dashed frame around blocks, with a title at its upper left corner."""
+    """Draw a dashed frame around an area with blocks. The title is at the upper left corner."""
     from matplotlib.patches import Rectangle
 
     axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="#8896a3", linewidth=0.9, linestyle=(0, (4, 3))))
@@ -41,13 +44,14 @@ def area(axes: Any, corner: Point, size: Point, text: str) -> None:
 def arrow(
     axes: Any, points: Sequence[Point], text: str = "", at: Point | None = None, colour: str = INK, both: bool = False
 ) -> None:
-    """Draw an arrow along points.
+    """Draw an arrow along a line of points.
 
     Args:
         axes: axes of the diagram.
-        points: corners of the line, with the tip at the last one.
-        text: label.
-        at: middle of the label. The default is just above the middle of the longest part.
+        points: corners of the line. The tip of the arrow is at the last corner.
+        text: label of the arrow.
+        at: middle of the label. The default is just above the middle of the longest part of the
+            line.
         colour: colour of line and label.
         both: True for a tip at both ends.
     """
@@ -65,7 +69,7 @@ def arrow(
 
 
 def note(axes: Any, place: Point, text: str, **how: Any) -> None:
-    """Write a text."""
+    """Write a text at a place in the diagram."""
     axes.text(*place, text, **{"ha": "left", "va": "center", "fontsize": 7.5, "color": INK, "linespacing": 1.3} | how)
 
 

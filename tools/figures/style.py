@@ -1,4 +1,4 @@
-"""Common style of all figures: fonts, colours, and the version of handctl in the metadata of the files."""
+"""The common style of all figures: fonts, colours, and the version of handctl in the metadata of each file."""
 
 import io
 import re
@@ -8,16 +8,16 @@ from typing import Any
 
 FOLDER = Path(__file__).parents[2] / "docs" / "figures"
 DIGITS = {"index": "#3b6fb6", "middle": "#d9822b", "ring": "#3c9d5d", "thumb": "#b8436f"}
-"""Colour of each digit, as in the figures of a run and in the viewer."""
+"""Colour of each digit. The figures of a run and the viewer use the same colours."""
 TRUTH = "#000000"
 COMMAND = "#7a7a7a"
 ESTIMATE = "#3b6fb6"
 RAW = "#c9c9c9"
 FAULT = "#d01c1c"
-"""Colours of the plant's truth, of commands, estimates, raw readings and faults."""
+"""Colours of true values, commands, estimates, raw readings and faults."""
 INK = "#22303c"
 BLOCKS = {"host": "#dbe7f5", "wire": "#f6e3c8", "hardware": "#dcefdf", "log": "#ece2f4", "safety": "#f8d9d9"}
-"""Colours of lines and text of diagrams, and of their blocks by subject."""
+"""Colours of the lines and texts in diagrams, and of the blocks by subject."""
 SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9, "axes.grid": True,
     "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False,
@@ -25,11 +25,11 @@ SETTINGS: dict[str, Any] = {
     "lines.linewidth": 1.3, "figure.dpi": 100,
 }  # fmt: skip
 CREATOR = f"handctl {version('handctl')}"
-"""Name and version in the metadata of every figure."""
+"""Name and version of the program, for the metadata of every figure."""
 
 
 def apply_style() -> None:
-    """Give all figures of this process the style, also those that handctl draws itself."""
+    """Apply the style to all figures of this process, also to those that handctl draws itself."""
     import matplotlib
 
     for key, value in SETTINGS.items():
@@ -37,7 +37,7 @@ def apply_style() -> None:
 
 
 def new_figure(width: float, height: float) -> Any:
-    """Return an empty figure [inch] in the style."""
+    """Return an empty figure of a width and height [inch] in the common style."""
     apply_style()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -48,7 +48,7 @@ def new_figure(width: float, height: float) -> Any:
 
 
 def save(figure: Any, name: str, folder: Path = FOLDER) -> list[Path]:
-    """Write a figure as SVG and PNG, both with the version in their metadata."""
+    """Write a figure as an SVG and a PNG file, both with the version in the metadata."""
     written = []
     for kind, metadata in (("svg", {"Creator": CREATOR, "Date": None}), ("png", {"Software": CREATOR})):
         path = folder / f"{name}.{kind}"
@@ -61,12 +61,12 @@ def save(figure: Any, name: str, folder: Path = FOLDER) -> list[Path]:
 
 
 def without_blanks(content: bytes) -> bytes:
-    """Remove the blanks at the ends of lines of an SVG from matplotlib, because git reports such blanks."""
+    """Remove blanks at line ends from an SVG that matplotlib has written. git would report such blanks."""
     return b"\n".join(map(bytes.rstrip, content.split(b"\n")))
 
 
 def stamp(source: Path, path: Path) -> None:
-    """Copy a PNG that handctl has drawn, with the version in its metadata."""
+    """Copy a PNG that handctl has drawn, and add the version to the metadata of the copy."""
     from PIL import Image, PngImagePlugin
 
     info = PngImagePlugin.PngInfo()
@@ -76,7 +76,7 @@ def stamp(source: Path, path: Path) -> None:
 
 
 def drawn_by(path: Path) -> str:
-    """Return the name and version in the metadata of a figure, empty without them."""
+    """Return the name and version of the program in the metadata of a figure, or an empty text."""
     if path.suffix == ".svg":
         text = path.read_text(encoding="utf-8")
         match = re.search(r"<dc:title>(.*?)</dc:title>", text)

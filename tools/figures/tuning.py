@@ -1,4 +1,4 @@
-"""Pictures of tuning and of a report, which handctl draws itself, with the commands of their pages."""
+"""Pictures of tuning and of a report. handctl draws them itself, with the commands that the pages of the site show."""
 
 import contextlib
 import io
@@ -22,24 +22,24 @@ integral_per_s = 9.0
 motor_disturbance_N = 0.36
 """
 UNSTABLE_GAINS = "schema = 1\n[motion]\nforce_N = 450.0\n[tension]\nforce_N = 300.0\n"
-"""Gains with which the loops oscillate."""
+"""Gains with which the control loops oscillate."""
 PERTURBED = ("stiffness=0.8", "spring=1.2", "friction=1.25", "motor_inertia=0.8", "torque_constant=1.1")
 OTHER_HAND = ("stiffness=0.7", "friction=1.3", "motor_inertia=0.7")
-"""Factors of the simulated hands on the page Tune a hand."""
+"""Factors that change the simulated hands on the page *Tune a hand*."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 PAGE_SIZE = (1100, 2080)
 """Width and height of the picture of a report [pixels]."""
 
 
 HAND_VIEW = (2, 66, 638, 500)
-"""Left, upper, right and lower edge of the view of the hand in a picture of the dashboard [pixels]."""
+"""Left, upper, right and lower edge of the hand's view within a picture of the dashboard [pixels]."""
 
 
 def call(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> None:
-    """Execute a verb in a folder.
+    """Execute a command of handctl in a folder.
 
     Raises:
-        RuntimeError: the exit code is not in `codes`.
+        RuntimeError: the exit code of the command is not in ``codes``.
     """
     with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
         code = main([*words])
@@ -49,7 +49,7 @@ def call(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> None:
 
 @contextlib.contextmanager
 def empty_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Yield an empty folder for a run, so that no file of an earlier run counts."""
+    """Yield an empty folder for a run, so that files of an earlier run cannot be used."""
     path = folder / name
     shutil.rmtree(path, ignore_errors=True)
     path.mkdir(parents=True)
@@ -74,14 +74,14 @@ def design_picture(folder: Path) -> Path:
 
 
 def return_picture(folder: Path) -> Path:
-    """Verify gains that oscillate, so that the run returns to the old gains."""
+    """Verify gains with which the loops oscillate, so that the run returns to the old gains."""
     with empty_folder(folder, "return") as path:
         call(path, "tune", "verify", "wild.toml", "--hand", "jamia", "--lockstep", "--log", "return.mcap", codes=(1,))
         return path / "return.png"
 
 
 def search_picture(folder: Path) -> Path:
-    """Search gains in 24 trials."""
+    """Search for gains in 24 trials."""
     with empty_folder(folder, "search") as path:
         call(path, "tune", "search", "--hand", "jamia", "--gains", "detuned.toml", "--plants", "2", "--trials", "24",
              "--jobs", "1", "--study", "jamia.study", "--output", "search.toml")  # fmt: skip
@@ -89,7 +89,10 @@ def search_picture(folder: Path) -> Path:
 
 
 def verify_picture(folder: Path) -> Path:
-    """Verify the gains of the search on another hand. If the search has not been run, it runs first."""
+    """Verify the gains that the search has found on another hand.
+
+    If there is no search yet, run it first.
+    """
     gains_file = folder / "search" / "search.toml"
     if not gains_file.exists():
         search_picture(folder)
@@ -100,14 +103,14 @@ def verify_picture(folder: Path) -> Path:
 
 
 def pair_picture(folder: Path) -> Path:
-    """Return the demo's picture of a hand with spool pairs."""
+    """Return the picture that the demo draws of a hand with spool pairs."""
     with empty_folder(folder, "orca_like") as path:
         call(path, "demo", "--lockstep", "--hand", "orca_like", "--seed", "0", "--log", "orca_like.mcap")
         return path / "orca_like.png"
 
 
 def mesh_picture(folder: Path) -> Path:
-    """Draw the view of a hand with meshes while it holds the object. A Vulkan driver is required."""
+    """Draw the view of a hand with meshes that holds an object. This needs a Vulkan driver."""
     from PIL import Image
 
     with empty_folder(folder, "meshes") as path:
@@ -121,12 +124,12 @@ def mesh_picture(folder: Path) -> Path:
 
 
 def find_browser() -> str | None:
-    """Return the path of Chromium, or None."""
+    """Return the path of the browser Chromium, or None if it is not installed."""
     return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
 def report_picture(folder: Path) -> Path:
-    """Draw the head of the demo's report in a browser.
+    """Draw the upper part of the demo's report in a browser.
 
     Raises:
         RuntimeError: this machine has no Chromium.

@@ -1,1 +1,1 @@
-"""Meshes of packaged hands, made from a few numbers."""
+"""Meshes of packaged hands, which are computed from a few numbers."""

@@ -12,13 +12,13 @@ HANDS = Path(__file__).parents[2] / "src" / "handctl" / "hand" / "hands"
 
 
 def files() -> Iterator[tuple[Path, bytes]]:
-    """Yield path and content of each mesh file."""
+    """Yield the path and the content of each mesh file."""
     for name, triangles in (("palm", t42.palm()), ("inner", t42.inner_link()), ("outer", t42.outer_link())):
         yield HANDS / "t42" / f"{name}.stl", stl(triangles)
 
 
 def main() -> int:
-    """Write all files. Return the exit code."""
+    """Write all mesh files, and return the exit code."""
     for path, content in files():
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(content)

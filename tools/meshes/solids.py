@@ -1,4 +1,4 @@
-"""Convex prisms with chamfered edges, and binary STL."""
+"""Convex prisms with chamfered edges, and their conversion to binary STL."""
 
 import math
 from collections.abc import Sequence
@@ -9,22 +9,22 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 HEADER = b"made by python -m tools.meshes"
-"""Start of the files' header of 80 bytes."""
+"""Start of the header of 80 bytes in each STL file."""
 
 
 def disc(centre: tuple[float, float], radius: float, sides: int = 24) -> Array:
-    """Return the corners of a regular polygon, (sides, 2), counter-clockwise."""
+    """Return the corners of a regular polygon in counter-clockwise order, (sides, 2)."""
     angles = 2.0 * math.pi * np.arange(sides) / sides
     return np.asarray(np.array(centre) + radius * np.column_stack((np.cos(angles), np.sin(angles))))
 
 
 def prism(outline: Sequence[Sequence[float]] | Array, low: float, high: float, chamfer: float) -> Array:
-    """Return the triangles of a prism along z with chamfered ends, (n, 3, 3).
+    """Return the triangles of a prism along z whose ends are chamfered, (n, 3, 3).
 
     Args:
         outline: corners of a convex polygon in x and y, (m, 2), counter-clockwise.
-        low: smallest z.
-        high: largest z.
+        low: smallest z of the prism.
+        high: largest z of the prism.
         chamfer: width of the chamfer along z and, at most, in x and y.
     """
     corners = np.asarray(outline, dtype=np.float64)
@@ -43,7 +43,7 @@ def prism(outline: Sequence[Sequence[float]] | Array, low: float, high: float, c
 
 
 def along_x(triangles: Array) -> Array:
-    """Return triangles with their z axis turned to x, their x to y, and their y to z."""
+    """Turn triangles so that their z axis becomes x, their x axis y, and their y axis z."""
     return triangles[..., [2, 0, 1]]
 
 

@@ -1,7 +1,7 @@
 """Meshes of the hand t42 in millimetres: palm, inner link and outer link.
 
 The lengths of the links, the distance of the fingers and the section of 16 x 18 mm are taken from
-t42.toml. All other sizes are chosen.
+t42.toml. All other dimensions are chosen freely.
 """
 
 import numpy as np
@@ -9,13 +9,13 @@ import numpy as np
 from tools.meshes.solids import Array, along_x, disc, prism
 
 INNER = 62.551
-"""Distance of the two joints of a finger."""
+"""Distance between the two joints of a finger [mm]."""
 OUTER = 48.0
-"""Distance of the tip from the outer joint."""
+"""Distance of the fingertip from the outer joint [mm]."""
 HALF_WIDTH = 9.0
-"""Half of the extent of a link along the hinge."""
+"""Half of the extent of a link along the hinge axis [mm]."""
 MOUNT = 26.0
-"""Distance of the first joint of a finger from the middle."""
+"""Distance of a finger's first joint from the middle of the palm [mm]."""
 
 
 def inner_link() -> Array:

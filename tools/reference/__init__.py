@@ -1,1 +1,4 @@
-"""Blocks of the reference pages, generated from the code: ``python -m tools.reference`` writes them into docs/."""
+"""Generated blocks of the reference pages.
+
+``python -m tools.reference`` writes them from the code into docs/.
+"""

@@ -1,4 +1,4 @@
-"""Write what is generated in docs/, and the JSON Schema of hand files: ``python -m tools.reference [--check]``."""
+"""Write the generated blocks in docs/ and the JSON Schema of hand files: ``python -m tools.reference [--check]``."""
 
 import argparse
 import sys
@@ -9,11 +9,11 @@ from tools.reference.blocks import stale_pages, written_pages
 
 ROOT = Path(__file__).parents[2]
 SCHEMA = ROOT / "src" / "handctl" / "hand" / "hand.schema.json"
-"""JSON Schema of hand files, for editors."""
+"""Path of the JSON Schema of hand files, which editors use."""
 
 
 def main() -> int:
-    """Write or check the pages. Return the exit code."""
+    """Write or check the generated pages and the schema. Return the exit code."""
     parser = argparse.ArgumentParser(description="Write the generated blocks of the pages in docs/.")
     parser.add_argument("--check", action="store_true", help="write nothing, and return 1 if a page is stale")
     if parser.parse_args().check:

@@ -1,4 +1,4 @@
-"""The blocks by name, and the pages that have them.
+"""The generated blocks by name, and the pages that contain blocks.
 
 A page of docs/ contains ``<!-- generated: NAME -->``, the block, and ``<!-- end of generated -->``.
 """
@@ -26,13 +26,13 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "fault-times": faults.late_rows,
     "hardware-tests": faults.hardware_checklist,
 }
-"""Name of each block and the function that writes it."""
+"""Function that returns the text of a block, by the name of the block."""
 BLOCK_PATTERN = re.compile(r"(<!-- generated: ([\w-]+) -->\n)(.*?)(<!-- end of generated -->)", re.DOTALL)
-"""Place of a block in a page."""
+"""Pattern of a block in a page, with its marks."""
 
 
 def pages(root: Path) -> Iterator[tuple[Path, str, str]]:
-    """Yield path, present text, and right text of each page with a block."""
+    """Yield the path, the present text and the right text of each page that contains a block."""
     for path in sorted([root / "README.md", *root.glob("docs/**/*.md")]):
         text = path.read_text(encoding="utf-8")
         if BLOCK_PATTERN.search(text):
@@ -40,7 +40,7 @@ def pages(root: Path) -> Iterator[tuple[Path, str, str]]:
 
 
 def filled(text: str) -> str:
-    """Return the text of a page with its blocks replaced by the present ones.
+    """Return the text of a page in which newly generated blocks replace the old blocks.
 
     Raises:
         KeyError: the page names an unknown block.
@@ -54,7 +54,7 @@ def stale_pages(root: Path) -> list[str]:
 
 
 def written_pages(root: Path) -> list[str]:
-    """Write the stale pages, and return their names."""
+    """Write the pages whose blocks differ from the code, and return their names."""
     names = []
     for path, text, right in pages(root):
         if text != right:

@@ -1,4 +1,4 @@
-"""Blocks about the command line, generated from the parsers of the verbs and from the exit codes."""
+"""Blocks about the command line, generated from the parsers of the commands and from the exit codes."""
 
 import argparse
 from collections.abc import Iterator
@@ -9,16 +9,19 @@ from handctl.session.exit_codes import ExitCode
 from tools.reference.markdown import attribute_docstrings, code, prose, table
 
 COMMON_OPTIONS = {"-h", "-v", "-q"}
-"""Options of every verb. The page explains them only once."""
+"""Options that every command has. The page explains them only once."""
 
 
 def verb_table() -> str:
-    """Return a table of all verbs with one line each."""
+    """Return a table of all commands, with one line for each."""
     return table(("verb", "purpose"), ((code(name), text) for name, text in VERBS.items()))
 
 
 def verbs() -> str:
-    """Return a section per verb: purpose, arguments and example, of its sub-verbs as well."""
+    """Return a section for each command with purpose, arguments and example.
+
+    Sub-commands also have sections.
+    """
     parts = []
     for group in GROUPS.values():
         parts.append(f"## {group.title[0].upper()}{group.title[1:]}")
@@ -28,7 +31,7 @@ def verbs() -> str:
 
 
 def _parser(parser: argparse.ArgumentParser, command: str, level: str) -> Iterator[str]:
-    """Yield the section of a verb, and the sections of its sub-verbs."""
+    """Yield the section of a command, and the sections of its sub-commands."""
     yield f"{level} {command}"
     yield prose(parser.description)
     rows = [_row(action) for action in parser._actions if _is_listed(action)]
@@ -44,14 +47,14 @@ def _parser(parser: argparse.ArgumentParser, command: str, level: str) -> Iterat
 
 
 def _is_listed(action: argparse.Action) -> bool:
-    """Return True for an argument that is listed with its verb."""
+    """Return True for an argument that the section of its command lists."""
     if isinstance(action, argparse._SubParsersAction) or action.help == argparse.SUPPRESS:
         return False
     return not COMMON_OPTIONS.intersection(action.option_strings)
 
 
 def _row(action: argparse.Action) -> tuple[str, str]:
-    """Return name and meaning of an argument."""
+    """Return the name and the meaning of a command-line argument."""
     value = _value(action)
     names = ", ".join(action.option_strings)
     name = f"{names} {value}".strip() if names else value
@@ -63,7 +66,7 @@ def _row(action: argparse.Action) -> tuple[str, str]:
 
 
 def _value(action: argparse.Action) -> str:
-    """Return the placeholder of an argument's value, empty for a switch."""
+    """Return the placeholder for the value of an argument, empty for a switch."""
     if action.nargs == 0:
         return ""
     if action.metavar is not None:

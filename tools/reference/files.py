@@ -1,4 +1,4 @@
-"""Blocks about files and requests, generated from their pydantic models."""
+"""Blocks about files and requests, generated from the pydantic models of both."""
 
 from collections.abc import Iterable, Iterator
 from types import NoneType, UnionType
@@ -19,20 +19,26 @@ MEANINGS = {
     "hold.tension_N": "Tension of each digit [N].",
     "hold.rate_N_per_s": "Rate of the tension [N/s].",
 }
-"""Meaning of each key without a description in its model."""
+"""Meaning of each key that has no description in its pydantic model."""
 VALUES = {"hand.schema": "1 or 2"}
-"""Valid values of keys whose model describes a file after defaults and templates were applied."""
+"""Valid values of keys that may have more values in a file than in the model.
+
+The model describes a file after defaults and templates were applied.
+"""
 OPTIONAL_KEYS = ("hand.sensor_node",)
-"""Keys that a file may leave out, although the model requires them."""
+"""Keys that a file may leave out although the pydantic model requires them."""
 SHORT_MESSAGES = {
     "a name of letters, digits and _ that begins with a letter": "a name",
     "a whole number from 1 to 1": "1",
 }
-"""Shorter forms of the messages of validators. The page itself explains what a valid name is."""
+"""Shorter forms of messages of pydantic validators.
+
+The page itself explains what a valid name is.
+"""
 
 
 def hand_file() -> str:
-    """Return a section per table of a hand file, with a row per key."""
+    """Return a section for each table of a hand file, with a row for each key."""
     parts = ["## The file", _keys(Hand, "hand")]
     for name, field in Hand.model_fields.items():
         models = [part for part in _parts(field.annotation) if isinstance(part, type) and issubclass(part, BaseModel)]
@@ -43,14 +49,14 @@ def hand_file() -> str:
 
 
 def _keys(model: type[BaseModel], section: str) -> str:
-    """Return a table of the keys of a model."""
+    """Return a Markdown table of the keys of a model."""
     rows = [(code(field.alias or name), *_row(model, name, f"{section}.{field.alias or name}"))
             for name, field in model.model_fields.items()]  # fmt: skip
     return table(("key", "value", "required", "meaning"), rows)
 
 
 def _row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
-    """Return value, necessity and meaning of a key.
+    """Return the valid values, the necessity and the meaning of a key.
 
     Raises:
         KeyError: the key has neither a description in its model nor an entry in MEANINGS.
@@ -71,10 +77,10 @@ def _parts(annotation: Any) -> Iterator[Any]:
 
 
 def value_text(annotation: Any) -> str:
-    """Return the valid values of a type in words.
+    """Return the valid values of a type annotation in words.
 
-    A type does not expose its range in a readable form. Therefore its validator gets a wrong value,
-    and the range is taken from the error message.
+    A type does not give its range in a readable form. Therefore the function passes a wrong value
+    to the validator of the type, and takes the range from the error message.
     """
     origin = get_origin(annotation)
     arguments = [part for part in get_args(annotation) if part is not NoneType]
@@ -101,7 +107,7 @@ def _list_text(arguments: list[Any]) -> str:
 
 
 def _expected(annotation: Any) -> str:
-    """Return the expected value by the message of a type's validator."""
+    """Return the expected value, as the error message of a type's validator names it."""
     try:
         TypeAdapter(annotation).validate_python(object())
     except ValidationError as error:
@@ -111,7 +117,7 @@ def _expected(annotation: Any) -> str:
 
 
 def gains() -> str:
-    """Return a section per table of a gains file, with bounds, default and meaning of each key."""
+    """Return a section for each table of a gains file, with bounds, default and meaning of each key."""
     parts = []
     for section in SECTIONS:
         model = Gains.model_fields[section].annotation
@@ -130,7 +136,7 @@ def gains() -> str:
 
 
 def requests() -> str:
-    """Return a section per request, with a row per field."""
+    """Return a section for each request, with a row for each field."""
     parts = []
     for model in get_args(Request):
         do = get_args(model.model_fields["do"].annotation)[0]
@@ -141,7 +147,7 @@ def requests() -> str:
 
 
 def _fields(model: type[BaseModel], do: str) -> Iterable[tuple[str, str, str, str]]:
-    """Yield a row per field of a request that not every request has."""
+    """Yield a row for each field of a request, except the fields that all requests have."""
     schema = model.model_json_schema()["properties"]
     for name, field in model.model_fields.items():
         if name == "do" or name in CommandBase.model_fields:

@@ -1,4 +1,4 @@
-"""Markdown of tables, and of docstrings in the google convention."""
+"""Conversion of tables, and of docstrings in the google convention, to Markdown."""
 
 import ast
 import html
@@ -10,37 +10,37 @@ from collections.abc import Iterable, Sequence
 SECTION = re.compile(r"^(Args|Returns|Raises|Attributes|Source):\s*$|^(Source): (.*)$")
 """Heading of a section in a docstring."""
 ENTRY = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
-"""First line of an argument or an exception."""
+"""First line of the entry for an argument or an exception in a docstring."""
 
 
 def cell(text: object) -> str:
-    """Return a text as the content of a table cell.
+    """Return a text as the content of a cell in a Markdown table.
 
-    Code with a vertical bar is written in HTML, because Markdown would show the backslash before
-    the bar.
+    Code with a vertical bar is written in HTML. Markdown needs a backslash before the bar, and
+    would show it.
     """
     plain = " ".join(str(text).split())
     return re.sub(r"`([^`]*\|[^`]*)`", _code_with_bars, plain).replace("|", "\\|")
 
 
 def _code_with_bars(match: re.Match[str]) -> str:
-    """Return code in HTML, with vertical bars as character references."""
+    """Return quoted code as HTML, with character references for vertical bars."""
     return "<code>" + html.escape(match[1], quote=False).replace("|", "&#124;") + "</code>"
 
 
 def code(text: object) -> str:
-    """Return a text as code. The function `cell` escapes this text in a table."""
+    """Return a text as quoted code. In a table, the function ``cell`` escapes this text."""
     return "`" + " ".join(str(text).split()) + "`"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table."""
+    """Return a Markdown table of a head and rows."""
     lines = [head, ["---"] * len(head), *([cell(value) for value in row] for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def prose(text: str | None) -> str:
-    """Return a docstring as prose, with the double backquotes of Python replaced."""
+    """Return a docstring as Markdown prose. Single backquotes replace the double ones."""
     return inspect.cleandoc(text or "").replace("``", "`")
 
 
@@ -63,7 +63,7 @@ def docstring(value: object) -> str:
 
 
 def attribute_docstrings(kind: type) -> dict[str, str]:
-    """Return the docstring below each attribute of a class, as prose."""
+    """Return the docstring below each attribute of a class as Markdown prose, by attribute."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     texts: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""Block about the Python API, generated from the names that ``handctl`` exports."""
+"""The block about the Python API, generated from the names that the package ``handctl`` exports."""
 
 import inspect
 import re
@@ -8,11 +8,11 @@ import handctl
 from tools.reference.markdown import docstring
 
 ARRAY = re.compile(r"numpy\.ndarray\[.*?, numpy\.dtype\[[\w.]*(?:\[\w+\])?\]\]")
-"""Type of an array as inspect writes it. The reference writes NDArray."""
+"""Type of an array, as the module inspect writes it. The reference pages write NDArray instead."""
 
 
 def names() -> str:
-    """Return a section per exported name: functions first, then classes, then errors."""
+    """Return a section for each exported name: first functions, then classes, then errors."""
     exported = [getattr(handctl, name) for name in handctl.__all__]
     errors = [value for value in exported if isinstance(value, type) and issubclass(value, Exception)]
     classes = [value for value in exported if isinstance(value, type) and value not in errors]
@@ -31,7 +31,7 @@ def names() -> str:
 
 
 def _methods(kind: type) -> Iterator[str]:
-    """Yield a section per public method or property of a class."""
+    """Yield a section for each public method or property of a class."""
     for name, member in vars(kind).items():
         if name.startswith("_"):
             continue
@@ -42,7 +42,10 @@ def _methods(kind: type) -> Iterator[str]:
 
 
 def _signature(function: object) -> str:
-    """Return the signature of a function as code, an argument a line if it is long."""
+    """Return the signature of a function as code.
+
+    A long signature has one argument in each line.
+    """
     assert inspect.isfunction(function)
     signature = inspect.signature(function)
     shown = [p for p in signature.parameters.values() if p.name != "self"]
@@ -60,7 +63,7 @@ def _signature(function: object) -> str:
 
 
 def _rejoined(text: str) -> str:
-    """Join the lines of a signature that end within brackets."""
+    """Join those lines of a signature that end within brackets with the next line."""
     lines: list[str] = []
     for line in text.split(",\n    "):
         if lines and lines[-1].count("[") > lines[-1].count("]"):

@@ -13,7 +13,7 @@ from tools.reference.markdown import attribute_docstrings, code, table
 
 TICK = "every tick"
 HANDS = ("jamia", "orca_like")
-"""Packaged hands that have all topics together."""
+"""Packaged hands that together have all topics."""
 CONTENT = {
     "/robot_description": ("at the start", "URDF of the hand"),
     "/controller/names": ("at the start", "names of the columns of `/controller/values`: `field/name`"),
@@ -40,20 +40,23 @@ CONTENT = {
     "/spool_pairs": (TICK, "of a hand with spool pairs: estimated tension of both tendons of each pair [N]"),
     "/actuator/MOTOR/temperature": ("5 Hz", "temperature of the drive [degC]"),
 }
-"""Rate and content of each topic whose fields are not telemetry."""
+"""Rate and content of each topic that has no telemetry fields."""
 REMARKS = {
     "/joint_states": "The effort is the torque of the tendons at the estimated tension, R^T f without friction.",
     "/tendon_states": "The effort is the estimated tension at the load cell, the net tension of a spool pair.",
     "/tendon_commands": "The effort is the commanded tension at the load cell.",
     "/actuator_states": "At the spool. Positive values wind the tendon.",
 }
-"""Remark on each JointState topic whose fields need one."""
+"""Remarks on those JointState topics whose fields need an explanation."""
 PRINTED_TYPES = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs/StatisticsValues")
-"""Message types whose definition the page prints."""
+"""Prefixes of the message types whose definitions the page prints."""
 
 
 def registered() -> dict[str, tuple[str, str]]:
-    """Return message type and note of each topic of the packaged hands, with a placeholder for its names."""
+    """Return message type and note of each topic of the packaged hands.
+
+    Placeholders replace names in topics.
+    """
     registered_topics = {}
     for name in HANDS:
         header = RunHeader.of_hand(load_hand(name).to_toml(), 2_000_000)
@@ -66,20 +69,20 @@ def registered() -> dict[str, tuple[str, str]]:
 
 
 def _placeholder(topic: str, header: RunHeader) -> str:
-    """Replace the name of a digit or motor in a topic."""
+    """Replace the name of a digit or motor in a topic by a placeholder."""
     names = dict.fromkeys(header.digits, "DIGIT") | dict.fromkeys(header.motors, "MOTOR")
     return "/".join(names.get(word, word) for word in topic.split("/"))
 
 
 def topics() -> str:
-    """Return a table of all topics: message type, rate, content with units."""
+    """Return a table of all topics with message type, rate, and content with units."""
     topic_types = sorted(registered().items())
     rows = ((code(topic), _linked_type(kind), *content(topic, note)) for topic, (kind, note) in topic_types)
     return table(("topic", "message type", "rate", "content"), rows)
 
 
 def _linked_type(kind: str) -> str:
-    """Return a message type, with a link to its definition if the page prints it."""
+    """Return a message type. It is a link to the definition if the page prints that."""
     name = kind.replace("/msg/", "/")
     if name not in DEFINITIONS or not name.startswith(PRINTED_TYPES):
         return code(kind)
@@ -87,10 +90,10 @@ def _linked_type(kind: str) -> str:
 
 
 def content(topic: str, note: str) -> tuple[str, str]:
-    """Return rate and content of a topic.
+    """Return the rate and the content of a topic.
 
     Raises:
-        KeyError: the topic has no text here.
+        KeyError: this module has no text about the topic.
     """
     if topic in JOINT_STATES:
         axis, *fields = JOINT_STATES[topic]
@@ -109,7 +112,7 @@ def content(topic: str, note: str) -> tuple[str, str]:
 
 
 def message_types() -> str:
-    """Return the definitions of the message types of handctl, and of two types that most topics use."""
+    """Return the definitions of handctl's own message types, and of two other types that most topics use."""
     parts = []
     for name, definition in DEFINITIONS.items():
         if name.startswith(PRINTED_TYPES):

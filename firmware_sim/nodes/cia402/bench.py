@@ -1,4 +1,7 @@
-"""CiA 402 drives as delivered. The free shaft is an assumption."""
+"""CiA 402 drives on a bench, with the settings as delivered.
+
+The data of the free shaft are an assumption.
+"""
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.cia402.kernels import apply_torque
@@ -6,36 +9,40 @@ from firmware_sim.nodes.cia402.node import Cia402Node, Cia402NodeRow
 from firmware_sim.nodes.protocol_spec import CIA402, UNADDRESSED, ProtocolSpec, Shaft
 
 VALID_NUMBERS = range(1, 0x7F)
-"""Valid node numbers. The last number of CANopen (127) is the number of handctl."""
+"""Valid node numbers of drives. The last node number of CANopen, 127, belongs to handctl."""
 
 
 BENCH_SHAFT = Shaft(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
-"""Shaft of the default motor at 24 V. Voltage and torque constant are equal in SI units."""
+"""Shaft of the default motor at 24 V.
+
+Voltage constant [V s/rad] and torque constant [N m/A] are equal.
+"""
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
-    """Return an SDO read of object 0x1000, the device type."""
+    """Return an SDO request that reads object 0x1000, the device type."""
     return 0x600 + node_id, b"\x40\x00\x10" + bytes(5)
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace commands that switch the torque off by a frame for no node."""
-    # An RPDO whose control word lacks bit 1 (enable voltage).
+    """Replace a command for switching the torque off by a frame for no node."""
+    # These are RPDOs whose control word lacks bit 1 (enable voltage).
     disables = 0x200 < frame.can_id < 0x280 and len(frame.data) >= 2 and not frame.data[0] & 0x02
-    # NMT commands: 2 stop, 0x80 pre-operational, 0x81 reset node, 0x82 reset communication.
+    # The NMT commands are 2 stop, 0x80 pre-operational, 0x81 reset node and 0x82 reset
+    # communication.
     releases = disables or (frame.can_id == 0 and frame.data[:1] in (b"\2", b"\x80", b"\x81", b"\x82"))
     return UNADDRESSED if releases else frame
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
-    """Replace the value of 0x6072 (maximum torque) by 65535 in a read-back."""
-    # SDO upload response of two bytes (0x4B) for index 0x6072.
+    """Replace the value of object 0x6072 (maximum torque) by 65535 in the reply to a read request."""
+    # The first bytes are those of an SDO upload reply with two bytes (0x4B) from object 0x6072.
     matches = 0x580 < frame.can_id < 0x600 and frame.data[:4] == b"\x4b\x72\x60\x00"
     return frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if matches else frame  # 0x6072 reads 65535
 
 
 def _force_command(node: Cia402Node, frame: Frame) -> None:
-    """Follow the target torque of an RPDO in any state."""
+    """Follow the target torque of an RPDO in any state of the drive."""
     if frame.can_id == node.rpdo_id and len(frame.data) >= 4:
         apply_torque(node, node.motor.servo)
 
@@ -44,4 +51,4 @@ SPEC = ProtocolSpec(
     Cia402Node, VALID_NUMBERS, BENCH_SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402,
     _force_command,
 )  # fmt: skip
-"""The CiA 402 protocol."""
+"""Specification of the protocol CiA 402 for simulated drives."""

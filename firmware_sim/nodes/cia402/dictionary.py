@@ -8,11 +8,11 @@ from typing import Any
 from firmware_sim.nodes.cia402.kernels import CYCLIC_OBJECTS, VALUE_CAPACITY
 
 EDS_PATH = Path(__file__).with_name("cia402.eds")
-"""Path of the EDS file."""
+"""Path of the EDS file of the simulated drive."""
 _SIZES = {0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4}
 """Size of each data type [bytes]. Source: CiA 301, data types INTEGER8 to UNSIGNED32."""
 _SIGNED = {0x02, 0x03, 0x04}
-"""Data types with a sign."""
+"""Numbers of the data types with a sign."""
 NO_OBJECT = 0x06020000
 """SDO abort code: the object does not exist. Source: CiA 301."""
 NO_SUB = 0x06090011
@@ -24,9 +24,12 @@ WRONG_TYPE = 0x06070010
 OUT_OF_RANGE = 0x06090030
 """SDO abort code: the value is out of range. Source: CiA 301."""
 WRONG_STATE = 0x08000022
-"""SDO abort code: not possible in the present state of the device. Source: CiA 301."""
+"""SDO abort code: the request is not possible in the present state of the device.
+
+Source: CiA 301.
+"""
 UNKNOWN_COMMAND = 0x05040001
-"""SDO abort code: no such command. Source: CiA 301."""
+"""SDO abort code: the command specifier is unknown. Source: CiA 301."""
 CLIENT_ABORTS = 0x80
 """First byte of a request with which the client aborts a transfer.
 
@@ -37,33 +40,34 @@ COMMANDS = {
     (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60FF, 0),
     (0x1010, 1),
 }  # fmt: skip
-"""Objects that are commands, not settings."""
+"""Writable objects that are commands and not settings."""
 TEXT = 0x0009
 """Data type of a text in an EDS file (VISIBLE_STRING). Source: CiA 306."""
 
 Key = tuple[int, int]
-"""Index and sub-index of an object."""
+"""Index and sub-index of an object in the dictionary."""
 
 
 class Abort(Exception):  # noqa: N818 - the standard's word
-    """A refused SDO request.
+    """An error that refuses an SDO request.
 
     Attributes:
         code: SDO abort code for the client.
     """
 
     def __init__(self, code: int) -> None:
-        """Make an abort with an SDO abort code."""
+        """Create the error with an SDO abort code."""
         super().__init__(f"{code:#010x}")
         self.code = code
 
 
 def sdo_reply(data: bytes, access: Callable[[bytes, Key], bytes]) -> bytes:
-    """Return the payload of the reply to a request to an SDO server.
+    """Return the payload with which an SDO server replies to a request.
 
     Args:
-        data: payload of the request, 8 bytes.
-        access: executes a request for an object, and returns the payload of its reply or raises ``Abort``.
+        data: payload of the SDO request, 8 bytes.
+        access: function that executes the request for an object. It returns the payload of the
+            reply, or raises ``Abort``.
     """
     try:
         return access(data, (int.from_bytes(data[1:3], "little"), data[3]))
@@ -72,11 +76,11 @@ def sdo_reply(data: bytes, access: Callable[[bytes, Key], bytes]) -> bytes:
 
 
 class Dictionary:
-    """Values of all objects of one node.
+    """The object dictionary of one drive: the values of all objects.
 
     Attributes:
-        texts: objects with a text, such as the name of the device.
-        values: values of the objects, first the objects of ``kernels.CYCLIC_OBJECTS``.
+        texts: texts by object, such as the name of the device.
+        values: values of all other objects. Those of ``kernels.CYCLIC_OBJECTS`` come first.
     """
 
     def __init__(self, node_id: int, memory: Any = None) -> None:
@@ -84,7 +88,8 @@ class Dictionary:
 
         Args:
             node_id: node number, on which default identifiers depend.
-            memory: memory for ``kernels.VALUE_CAPACITY`` values, None to allocate a list.
+            memory: memory for ``kernels.VALUE_CAPACITY`` values. If it is None, a list is
+                allocated.
         """
         parser = configparser.ConfigParser(interpolation=None)
         parser.read(EDS_PATH, encoding="ascii")
@@ -105,7 +110,7 @@ class Dictionary:
         self._indices = {index for index, _ in self._sizes}
 
     def _add(self, name: str, section: configparser.SectionProxy, node_id: int) -> None:
-        """Add the object of one section of the EDS file."""
+        """Add the object described by a section of the EDS file."""
         index, _, sub = name.partition("sub")
         key = (int(index, 16), int(sub or "0", 16))
         data_type = int(section["DataType"], 16)
@@ -122,18 +127,21 @@ class Dictionary:
             self._mappable.add(key)
 
     def __getitem__(self, key: Key) -> int:
-        """Return the value of an object."""
+        """Return the value of an object of the dictionary."""
         value: int = self.values[self._indices_of[key]]
         return value
 
     def __setitem__(self, key: Key, value: int) -> None:
-        """Set an object from inside the drive, saturated at the range of its type."""
+        """Set an object from inside the drive.
+
+        The value is saturated at the range of the object's data type.
+        """
         bits = 8 * self._sizes[key]
         low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if key in self._signed else (0, (1 << bits) - 1)
         self.values[self._indices_of[key]] = min(high, max(low, value))
 
     def settings(self) -> dict[Key, int]:
-        """Return the objects that a drive can store: all writable ones except commands."""
+        """Return the values of the objects that a drive can store: all writable objects except commands."""
         return {key: self[key] for key in self._writable if key not in COMMANDS}
 
     def size(self, key: Key) -> int:
@@ -151,7 +159,7 @@ class Dictionary:
         return key in self._mappable
 
     def read(self, key: Key) -> bytes:
-        """Return the bytes of an object.
+        """Return the value of an object as bytes.
 
         Raises:
             Abort: the object does not exist.
@@ -160,7 +168,7 @@ class Dictionary:
         return self[key].to_bytes(size, "little", signed=key in self._signed)
 
     def write(self, key: Key, raw: bytes) -> None:
-        """Write bytes from the wire.
+        """Write the bytes of a received frame to an object.
 
         Raises:
             Abort: the object does not exist, is read-only, or has another length.

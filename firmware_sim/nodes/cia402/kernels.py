@@ -1,8 +1,10 @@
-"""Kernels for the cyclic frames of a CiA 402 drive, on a row or an object. Source: facts, cia402.
+"""Kernels for the cyclic frames of a CiA 402 drive.
 
-Standard RPDO (little-endian): control word in bytes 0..1, target torque in bytes 2..3, in
-thousandths of the rated torque. Standard TPDO after SYNC: status word in bytes 0..1, position in
-bytes 2..5, torque in bytes 6..7.
+The kernels work on an array row or on a Python object. Source: fact sheet cia402.
+
+The standard RPDO (little-endian) has the control word in bytes 0..1 and the target torque in bytes
+2..3, in thousandths of the rated torque. The standard TPDO, sent after SYNC, has the status word in
+bytes 0..1, the position in bytes 2..5 and the torque in bytes 6..7.
 """
 
 import ctypes
@@ -14,33 +16,43 @@ from firmware_sim.nodes.cia402.power import ENABLED, PowerStruct, status
 OPERATIONAL = 0x05
 """NMT state: operational."""
 CST = 10
-"""Mode of operation: cyclic synchronous torque. The other modes are in ``motion``."""
+"""Number of the mode cyclic synchronous torque (0x6060).
+
+The module ``motion`` has the other modes.
+"""
 THERMAL_PERIOD_NS = 100_000_000
-"""Period of the thermal update [ns]."""
+"""Period of the update of the drive's temperatures [ns]."""
 TURN = 6.283185307179586
-"""One turn [rad]."""
+"""A full turn [rad]."""
 CYCLIC_OBJECTS = (
     (0x6040, 0), (0x6041, 0), (0x6061, 0), (0x6064, 0), (0x606C, 0), (0x6071, 0), (0x6072, 0), (0x6077, 0), (0x6078, 0),
     (0x60B2, 0), (0x1016, 1), (0x1017, 0), (0x6080, 0),
 )  # fmt: skip
-"""Objects that come first among the values of a dictionary, so that kernels know their indices."""
+"""Objects with the first places in the list of a dictionary's values.
+
+Kernels thus know the indices.
+"""
 (CONTROL_WORD, STATUS_WORD, MODE_SHOWN, POSITION, VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE, CURRENT,
  TORQUE_OFFSET, MASTER, HEARTBEAT_MS, MAX_SPEED) = range(len(CYCLIC_OBJECTS))  # fmt: skip
-"""Indices of the objects above among the values of a dictionary."""
+"""Indices of the values of ``CYCLIC_OBJECTS`` in the list of a dictionary's values."""
 VALUE_CAPACITY = 192
-"""Maximum number of values in a row."""
+"""Maximum number of object values in the row of a drive."""
 SPEED_BAND = 0.1
-"""Fraction of the speed limit over which the torque falls to zero, an assumption."""
+"""Range of speed in which the torque falls to zero, as a fraction of the speed limit.
+
+An assumption.
+"""
 _INT16 = (1 << 15) - 1
-"""Maximum of a signed object of two bytes."""
+"""Maximum value of a signed object of two bytes."""
 _INT32 = (1 << 31) - 1
-"""Maximum of a signed object of four bytes."""
+"""Maximum value of a signed object of four bytes."""
 
 
 class Cia402Struct(ctypes.Structure):
-    """Memory of a ``node.Cia402Node``.
+    """Memory of a drive for compiled kernels. See ``node.Cia402Node`` for the fields.
 
-    ``motor_number`` is the row of its rotor, ``bus`` the index of its bus in the hand.
+    ``motor_number`` is the row of the drive's rotor. ``bus`` is the index of the drive's bus in the
+    hand.
     """
 
     _fields_ = [
@@ -62,14 +74,14 @@ def _saturated(value: int, limit: int) -> int:
 
 @inner
 def measure(node: Any, power: Any, angle: float, velocity: float, torque: float) -> None:
-    """Update the objects with measurements.
+    """Update the objects of a drive with measured values.
 
     Args:
-        node: drive, a row or an object.
+        node: the drive, as an array row or as a Python object.
         power: power stage of the drive.
-        angle: spool angle of the encoder [rad].
-        velocity: spool velocity [rad/s].
-        torque: spool torque [N m].
+        angle: spool angle that the encoder measures [rad].
+        velocity: angular velocity of the spool [rad/s].
+        torque: torque of the motor at the spool [N m].
     """
     values = node.values
     sign = node.direction
@@ -80,23 +92,23 @@ def measure(node: Any, power: Any, angle: float, velocity: float, torque: float)
         # Bits 10 to 13 depend on the mode of operation.
         word = word & ~0x3C00 | node.mode_bits
     values[STATUS_WORD] = word
-    # Counts of the encoder at the shaft.
+    # The position is in encoder counts at the motor shaft.
     values[POSITION] = _saturated(round(shaft / TURN * node.counts), _INT32)
-    # 0x606C is in revolutions per minute here.
+    # In this drive, object 0x606C (velocity) is in revolutions per minute.
     values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN * 60.0), _INT32)
     values[TORQUE] = values[CURRENT] = _saturated(round(sign * torque / gear / node.rated * 1000.0), _INT16)
 
 
 @inner
 def apply_torque(node: Any, servo: Any) -> None:
-    """Apply the target torque, limited by 0x6072 and 0x6080, to the servo of an enabled drive."""
+    """Apply the target torque to the servo of an enabled drive, limited by objects 0x6072 and 0x6080."""
     values = node.values
     thousandths = values[TARGET_TORQUE] + values[TORQUE_OFFSET]
     limit = values[MAX_TORQUE]
     servo.limit = node.peak
-    # Thousandths of the rated torque at the shaft, to N m at the spool.
+    # Conversion from thousandths of the rated torque at the shaft to N m at the spool.
     servo.torque = node.direction * node.gear * node.rated / 1000.0 * min(limit, max(-limit, thousandths))
-    # Revolutions per minute at the shaft, to rad/s at the spool.
+    # Conversion from revolutions per minute at the shaft to rad/s at the spool.
     servo.speed_limit = values[MAX_SPEED] * TURN / 60.0 / node.gear
     servo.speed_gain = 0.0
     if servo.speed_limit > 0.0:
@@ -105,20 +117,20 @@ def apply_torque(node: Any, servo: Any) -> None:
 
 @inner
 def follows_torque(node: Any, power: Any) -> bool:
-    """Return True if power stage and mode of operation allow torque."""
+    """Return True if the drive follows torque commands: enabled and in torque mode."""
     return bool(power.state == ENABLED and node.values[MODE_SHOWN] == CST)
 
 
 @inner
 def heartbeat_timeout_ns(node: Any) -> int:
-    """Return the timeout of the master's heartbeat [ns], 0 if it is not supervised."""
-    # 0x1016: node number in bits 23..16, time in ms in bits 15..0.
+    """Return the timeout of the master's heartbeat [ns], 0 if the drive does not supervise the master."""
+    # Object 0x1016 has the master's node number in bits 23..16 and the time [ms] in bits 15..0.
     return int(node.values[MASTER] & 0xFFFF) * 1_000_000
 
 
 @inner
 def heartbeat_due(node: Any, t_ns: int) -> bool:
-    """Return True if the drive's heartbeat is due."""
+    """Return True if the drive must now send its heartbeat."""
     period_ns = node.values[HEARTBEAT_MS] * 1_000_000
     return bool(period_ns > 0 and t_ns - node.heartbeat_ns >= period_ns)
 
@@ -135,10 +147,10 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 @inner
 def schedule(node: Any, t_ns: int, frame_pending: bool) -> None:
-    """Schedule the next wake of a drive: thermal update, heartbeat, timeout of the master, motion.
+    """Schedule the next wake of a drive, for temperatures, heartbeat, timeout of the master or motion.
 
     Args:
-        node: drive, a row or an object.
+        node: the drive, as an array row or as a Python object.
         t_ns: present time [ns].
         frame_pending: True if a frame waits to be sent now.
     """

@@ -1,4 +1,6 @@
-"""Position, velocity and homing modes of a CiA 402 drive. Source: facts, cia402, and CiA 402-2 (IEC 61800-7-201).
+"""Position, velocity and homing modes of a CiA 402 drive.
+
+Source: fact sheet cia402 and CiA 402-2 (IEC 61800-7-201).
 
     mode               targets                             control word            status word
     1  profile position  0x607A, 0x6081, 0x6083, 0x6084    4 new set-point         10 target reached
@@ -9,17 +11,20 @@
     8  cyclic position   0x607A + 0x60B0, 0x60B1, 0x60B2   -                       12 follows, 13 following error
     9  cyclic velocity   0x60FF + 0x60B1, 0x60B2           -                       12 follows
 
-Units: count, 1/min, 1/min/s, thousandths of the rated torque, as 0x6064, 0x606C and 0x6071. Bit 11 of
-the status word is set while a position limit (0x607D) or the speed limit (0x6080) acts. A following
-error above 0x6065 for longer than 0x6066 is fault 0x8611, and 0xFFFFFFFF switches it off.
+The units are count, 1/min, 1/min/s and thousandths of the rated torque, as in 0x6064, 0x606C and
+0x6071. Bit 11 of the status word is set while a position limit (0x607D) or the speed limit (0x6080)
+acts. A following error above 0x6065 for longer than 0x6066 causes fault 0x8611. With 0xFFFFFFFF in
+0x6065, no following error causes a fault.
 
-Choices:
+Choices of this simulation:
 
-- Enabling, or a change of the mode, takes the present position as 0x607A and as demand. 0x60FF is kept.
-- Cyclic positions are interpolated over 0x60C2.
-- Profile position keeps one set-point beside the active one.
-- After homing the home position reads 0x607C. Methods: 33 and 34 (index pulse), 35 and 37 (here).
-- The gains of the cascade are assumed.
+- When the drive is enabled or changes its mode, 0x607A and the demand become the present position.
+  0x60FF is kept.
+- Cyclic positions are interpolated over the period in 0x60C2.
+- Profile position stores one set-point in addition to the active one.
+- After homing, the home position has the value of 0x607C. The methods 33 and 34 move to the next
+  index pulse. With 35 and 37 the present position is the home position.
+- The gains of the position and velocity controllers are assumed.
 """
 
 import math
@@ -33,7 +38,7 @@ PROFILE_POSITION = 1
 HOMING = 6
 CYCLIC_POSITION = 8
 CYCLIC_VELOCITY = 9
-"""Modes of operation."""
+"""Numbers of the modes of operation, as in object 0x6060."""
 MODES = (PROFILE_POSITION, HOMING, CYCLIC_POSITION, CYCLIC_VELOCITY)
 FOLLOWING_ERROR = 0x8611
 """Emergency code: following error."""
@@ -41,37 +46,43 @@ REACHED = 1 << 10
 LIMITED = 1 << 11
 FOLLOWS = 1 << 12
 DEVIATES = 1 << 13
-"""Bits of the status word. FOLLOWS is also set-point acknowledged and homing attained."""
+"""Bits of the status word.
+
+FOLLOWS also stands for *set-point acknowledged* and *homing attained*.
+"""
 NEW_SETPOINT = 1 << 4
 IMMEDIATELY = 1 << 5
 RELATIVE = 1 << 6
 HALT = 1 << 8
-"""Bits of the control word. NEW_SETPOINT is also the start of homing."""
+"""Bits of the control word. In homing mode, NEW_SETPOINT starts homing."""
 INDEX_NEGATIVE, INDEX_POSITIVE = 33, 34
-"""Homing methods: next index pulse in a direction."""
+"""Homing methods that move to the next index pulse, in negative or positive direction."""
 HOMING_METHODS = (INDEX_NEGATIVE, INDEX_POSITIVE, 35, 37)
-"""Homing methods of the drive."""
+"""All homing methods of the drive."""
 NO_WINDOW = 0xFFFFFFFF
-"""Following error window that is off."""
+"""Value of the following error window that switches the supervision off."""
 POSITION_GAIN = 20.0
-"""Position gain [1/s], an assumption."""
+"""Gain of the position controller [1/s]. An assumption."""
 
 
 def check_write(index: int, value: int) -> None:
-    """Check a value before it is written.
+    """Check a value before it is written to an object.
 
     Raises:
-        Abort: the drive has no such homing method.
+        Abort: the value is a homing method that the drive does not have.
     """
     if index == 0x6098 and value not in HOMING_METHODS:
         raise Abort(OUT_OF_RANGE)
 
 
 class MotionModes:
-    """Demand and cascade of one drive. The demand is the position on the wire [count] at the shaft."""
+    """The motion modes of a drive: demand and controllers.
+
+    The demand is the shaft position in frames [count].
+    """
 
     def __init__(self, node: Any) -> None:
-        """Use objects and rotor of a ``node.Cia402Node``."""
+        """Use the objects and the rotor of a drive (``node.Cia402Node``)."""
         self._node = node
         self._demand = Setpoint()
         self._at_spool = Setpoint()
@@ -89,11 +100,11 @@ class MotionModes:
 
     @property
     def running(self) -> bool:
-        """Return True if a motion mode is active and enabled."""
+        """Return True if the drive is enabled in a motion mode."""
         return self._mode != 0
 
     def start(self, mode: int, t_ns: int) -> None:
-        """Enter a mode in the present position, or stay in it."""
+        """Enter a motion mode at the present position. A mode that is already active continues."""
         if mode == self._mode:
             return
         node = self._node
@@ -112,20 +123,23 @@ class MotionModes:
         self.advance(t_ns)
 
     def end(self) -> None:
-        """Leave the mode, and clear the status bits of the mode."""
+        """Leave the active motion mode, and clear the status bits of the mode."""
         self._mode = 0
         self._node.motion_due_ns = 0
         self._node.mode_bits = -1
 
     def take(self, index: int) -> None:
-        """Apply an object that was written."""
+        """Apply the new value of an object that a host has written."""
         if index == 0x6040:
             self._take_control(self._node.objects[0x6040, 0])
         elif index == 0x607A and self._mode == CYCLIC_POSITION:
             self._rest_s = self._node.objects[0x60C2, 1] * 10.0 ** self._node.objects[0x60C2, 2]
 
     def _take_control(self, word: int) -> None:
-        """Apply the bits of the mode in a control word. Only a rising edge of bit 4 acts."""
+        """Apply the mode's bits of a control word.
+
+        Bit 4 starts a motion only on its rising edge.
+        """
         edge = word & ~self._control & NEW_SETPOINT
         self._control = word
         if self._mode == HOMING:
@@ -148,11 +162,11 @@ class MotionModes:
         elif self._next is None:
             self._next = target
         self._acknowledged = True
-        # The bit belongs to the previous target.
+        # The bit *target reached* still belongs to the previous target.
         self._bits &= ~REACHED
 
     def _start_homing(self) -> None:
-        """Start the method of 0x6098."""
+        """Start homing with the method in object 0x6098."""
         node = self._node
         self._homing = True
         self._attained = False
@@ -160,8 +174,8 @@ class MotionModes:
         method = node.objects[0x6098, 0]
         self._target = self._position()
         if method in (INDEX_NEGATIVE, INDEX_POSITIVE):
-            # The index pulse is at whole turns of the encoder, independent of the zero of the
-            # position.
+            # The index pulse occurs at whole turns of the encoder, wherever the zero of the
+            # position is.
             turn = node.counts
             raw = self._position() - node.offset / TURN * turn
             edge = math.floor(raw / turn) if method == INDEX_NEGATIVE else math.ceil(raw / turn)
@@ -169,7 +183,7 @@ class MotionModes:
         self._demand.jump(self._position())
 
     def _finish_homing(self) -> None:
-        """Make the present position read 0x607C."""
+        """Finish homing: shift the zero until the present position has the value of 0x607C."""
         node = self._node
         home = node.objects[0x607C, 0]
         node.offset += (home - self._position()) / node.counts * TURN
@@ -178,7 +192,7 @@ class MotionModes:
         self._attained = True
 
     def advance(self, t_ns: int) -> None:
-        """Update demand, status bits and servo if it is time [ns]."""
+        """Update the demand, the status bits and the servo if the update is due at the present time [ns]."""
         node = self._node
         if not self._mode or t_ns < node.motion_due_ns:
             return
@@ -195,7 +209,7 @@ class MotionModes:
         node.objects[0x6062, 0] = round(self._demand.position)
 
     def _generate(self, step_s: float) -> None:
-        """Compute the demand of the mode."""
+        """Compute the next demand of the active mode."""
         if self._mode == CYCLIC_VELOCITY:
             self._demand.jump(self._position(), self._rate_of(0x60FF) + self._rate_of(0x60B1))
         elif self._mode == CYCLIC_POSITION:
@@ -210,7 +224,10 @@ class MotionModes:
                 self._next = None
 
     def _approach(self, step_s: float, speed: int, sub: int, rise: int, fall: int) -> bool:
-        """Move the demand towards the target, within the speed and the ramps of objects. Return True at the target."""
+        """Move the demand towards the target with the speed and ramps in objects.
+
+        Return True at the target.
+        """
         slope = max(1.0, self._counts(self._node.objects[fall, 0]))
         if self._control & HALT:
             self._demand.ramp(0.0, slope, slope, step_s)
@@ -221,7 +238,7 @@ class MotionModes:
         )
 
     def _interpolate(self, step_s: float) -> None:
-        """Move the demand linearly to the cyclic target, to arrive at the end of the interpolation period."""
+        """Move the demand linearly, to reach the cyclic target at the end of the interpolation period."""
         objects = self._node.objects
         self._target = self._limited(float(objects[0x607A, 0] + objects[0x60B0, 0]))
         part = step_s / self._rest_s if self._rest_s > step_s else 1.0
@@ -238,7 +255,7 @@ class MotionModes:
         return inside
 
     def _watch_error(self, t_ns: int) -> bool:
-        """Check the following error. Return True after a fault."""
+        """Check the following error. Return True if the error has caused a fault."""
         node = self._node
         error = self._demand.position - self._position()
         node.objects[0x60F4, 0] = round(error)
@@ -254,13 +271,13 @@ class MotionModes:
         return True
 
     def _is_reached(self) -> bool:
-        """Return True if demand and position are at the target."""
+        """Return True if both the demand and the measured position have reached the target."""
         window = self._node.objects[0x6067, 0]
         arrived = self._demand.position == self._target and self._next is None
         return arrived and abs(self._position() - self._target) <= window
 
     def _status_bits(self) -> int:
-        """Return the bits of the mode in the status word."""
+        """Return the bits that the active mode sets in the status word."""
         if self._mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
             return self._bits | FOLLOWS
         if self._control & HALT:
@@ -269,14 +286,15 @@ class MotionModes:
             return self._bits
         reached = self._attained if self._mode == HOMING else self._is_reached()
         self._bits = self._bits | REACHED if reached else self._bits & ~REACHED
-        # Profile position: acknowledged until the host clears the bit and the buffer is free.
+        # In profile position, the set-point is acknowledged until the host clears the bit and the
+        # buffer is free.
         self._acknowledged = self._next is not None or (self._acknowledged and bool(self._control & NEW_SETPOINT))
         follows = self._attained if self._mode == HOMING else self._acknowledged
         self._bits = self._bits | FOLLOWS if follows else self._bits & ~FOLLOWS
         return self._bits
 
     def _regulate(self, step_s: float) -> None:
-        """Set the servo to the demand, from counts at the shaft to radians at the spool."""
+        """Set the servo to the demand, converted from counts at the shaft to radians at the spool."""
         node = self._node
         objects = node.objects
         scale = node.direction * TURN / node.counts / node.gear
@@ -292,19 +310,19 @@ class MotionModes:
         self._cascade.regulate(self._at_spool, gains, speed, limit, step_s, torque)
 
     def _position(self) -> float:
-        """Return the position [count] at the shaft."""
+        """Return the measured position at the shaft [count]."""
         node = self._node
         return float((node.direction * node.gear * node.motor.encoder() + node.offset) / TURN * node.counts)
 
     def _velocity(self) -> float:
-        """Return the velocity [count/s] at the shaft."""
+        """Return the measured velocity at the shaft [count/s]."""
         node = self._node
         return float(node.direction * node.gear * node.motor.velocity / TURN * node.counts)
 
     def _counts(self, per_minute: float) -> float:
-        """Return a speed [1/min] in count/s, or an acceleration [1/min/s] in count/s2."""
+        """Convert a speed from 1/min to count/s, or an acceleration from 1/min/s to count/s2."""
         return float(per_minute / 60.0 * self._node.counts)
 
     def _rate_of(self, index: int) -> float:
-        """Return a velocity object in count/s."""
+        """Return the value of a velocity object in count/s."""
         return self._counts(self._node.objects[index, 0])

@@ -1,6 +1,7 @@
-"""A motor with the firmware of a CiA 402 drive. Source: facts, cia402.
+"""A motor with the firmware of a CiA 402 drive. Source: fact sheet cia402.
 
-Cyclic synchronous torque is here and in ``kernels``, all other modes are in ``motion``.
+The mode cyclic synchronous torque is in this module and in ``kernels``. All other modes are in
+``motion``.
 
 Frames (COB-ID, payload little-endian):
 
@@ -12,19 +13,19 @@ Frames (COB-ID, payload little-endian):
     0x700+node  heartbeat    u8 NMT state
     RPDO, TPDO  see ``pdo``
 
-Texts are uploaded in segments: 0x41 with the length, then 0x60 and 0x70 in turn, answered by seven bytes
-each. ``save`` in 0x1010:1 stores the settings.
+A text is uploaded in segments. The first reply is 0x41 with the length of the text. Requests 0x60
+and 0x70 then alternate, and each reply has up to seven bytes of the text. Writing ``save`` to
+0x1010:1 stores the settings.
 
 SDO specifiers: 0x40 upload request, 0x43 | 4 n upload reply with n unused bytes, 0x23 | 4 n
 download request, 0x60 download reply, 0x80 abort.
 
-Choices where the fact sheet leaves one:
+Choices where the fact sheet is not definite:
 
-- 0x6076 is in mN·m unless ``rated_torque_unit`` is uN_m.
-- Leaving operational while enabled, and the loss of the master, are faults if 0x6007 is 1. They
-  switch the power stage
-  off if 0x6007 is 2 or 3.
-- PDOs can be changed in pre-operational only.
+- Object 0x6076 is in mN·m, unless the option ``rated_torque_unit`` is uN_m.
+- Two events are faults if 0x6007 is 1: the node leaves operational while enabled, or the master's
+  heartbeat is lost. If 0x6007 is 2 or 3, these events switch the power stage off.
+- The host can change PDOs only while the node is pre-operational.
 """
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
@@ -71,44 +72,45 @@ RPDO_SHORT = 0x8210
 HOT_C = 120.0
 """Winding temperature at which the drive trips [degC]."""
 _UNITS = {"mN_m": 1e3, "uN_m": 1e6}
-"""Value of 0x6076 for 1 N m, by unit."""
+"""Value of object 0x6076 for a torque of 1 N m, by its unit."""
 
 
 class Cia402Node:
-    """One drive.
+    """A simulated CiA 402 drive.
 
     Attributes:
-        nmt: NMT state.
-        power: state machine of the power stage.
+        nmt: NMT state of the node.
+        power: state machine of the drive's power stage.
         objects: object dictionary.
-        thermal: temperatures.
+        thermal: temperatures of the drive.
         ids: None, because the node answers many identifiers.
-        malformed: frames that the node could not decode.
-        wake_ns: time of the next wake [ns].
-        watchdog_fed_ns: time of the master's last heartbeat [ns], -1 if it is not supervised.
-        thermal_ns: time of the last thermal update [ns].
+        malformed: number of frames the node could not decode.
+        wake_ns: time of the next call of ``wake`` [ns].
+        watchdog_fed_ns: time of the master's last heartbeat [ns], -1 if the drive does not
+            supervise the master.
+        thermal_ns: time of the last update of the temperatures [ns].
         heartbeat_ns: time of the drive's last heartbeat [ns].
-        syncs: SYNCs since the last reset.
-        sync_id: identifier of SYNC.
+        syncs: number of SYNC frames since the last reset.
+        sync_id: identifier of the SYNC frame.
         master_id: identifier of the master's heartbeat.
         rpdo_id: identifier of the standard RPDO, see ``pdo.Pdos``.
         tpdo_id: identifier of the standard TPDO, see ``pdo.Pdos``.
         tpdo_kind: transmission type of the standard TPDO.
         accepted_ids: identifiers that the node may answer.
         values: values of the object dictionary.
-        frame_pending: True if a frame waits to be sent.
-        motion: position, velocity and homing modes.
-        motion_due_ns: time of its next update [ns], 0 in torque mode.
-        mode_bits: bits of the mode in the status word, -1 in torque mode.
+        frame_pending: True if a frame of the drive waits to be sent.
+        motion: the position, velocity and homing modes of the drive.
+        motion_due_ns: time of the next update of ``motion`` [ns], 0 in torque mode.
+        mode_bits: bits that the motion mode sets in the status word, -1 in torque mode.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set up the drive after power-up.
+        """Set up the drive in the state after power-up.
 
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: shaft angle at theta = 0 [rad].
+            offset: shaft angle at the spool angle theta = 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -135,7 +137,7 @@ class Cia402Node:
         self._reset(announce=True)
 
     def _reset(self, announce: bool) -> None:
-        """Restart with the stored settings.
+        """Restart the drive with its stored settings.
 
         Args:
             announce: True to send the boot-up message.
@@ -163,7 +165,7 @@ class Cia402Node:
         return objects, Power()
 
     def _update_derived(self) -> None:
-        """Update the values that depend on communication objects."""
+        """Update the attributes that are derived from communication objects."""
         self.sync_id = self.objects[0x1005, 0] & 0x7FF
         self.master_id = 0x700 + (self.objects[0x1016, 1] >> 16 & 0x7F)
         self.rpdo_id, (self.tpdo_id, self.tpdo_kind) = self.pdos.standard_rpdo(), self.pdos.standard_tpdo()
@@ -171,15 +173,15 @@ class Cia402Node:
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames that the node receives in every tick."""
+        """Return the identifiers of the frames for the node in every tick."""
         standard = {self.master_id, self.rpdo_id} | ({self.sync_id} if self.tpdo_id >= 0 else set())
         return tuple(standard - {-1, 0, 0x600 + self.node_id})
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Process a frame.
+        """Process a frame from the bus.
 
         Returns:
-            The frames that the drive sends in response, None if the frame is not for this node.
+            The frames sent in response by the drive, None if the frame is not for this node.
         """
         can_id = frame.can_id
         data = frame.data
@@ -205,7 +207,7 @@ class Cia402Node:
         return self._take_unsolicited() if handled else None
 
     def _take_unsolicited(self) -> list[Frame]:
-        """Return the frames that wait to be sent, and clear them."""
+        """Return the frames waiting to be sent, and empty the list."""
         unsolicited = self._unsolicited
         self._unsolicited = []
         return unsolicited
@@ -224,7 +226,7 @@ class Cia402Node:
             self._send_event_pdos()
 
     def _connection_lost(self, code: int) -> None:
-        """React to a lost connection as object 0x6007 demands."""
+        """React to a lost connection as object 0x6007 (abort connection option) demands."""
         option = self.objects[0x6007, 0]
         if option == 1:
             self.trip(code)
@@ -233,7 +235,7 @@ class Cia402Node:
             self._apply_torque()
 
     def trip(self, code: int) -> None:
-        """Enter fault and send an emergency message."""
+        """Enter the fault state and send an emergency message."""
         self.frame_pending = True
         self.power.fail()
         self.objects[0x603F, 0] = code
@@ -242,7 +244,7 @@ class Cia402Node:
         self._apply_torque()
 
     def lose_settings(self) -> None:
-        """Restore the defaults of torque limit and master supervision, without a change of state."""
+        """Restore the defaults of torque limit and supervision of the master, but keep the state of the drive."""
         initial = Dictionary(self.node_id)
         for key in ((0x6072, 0), (0x6007, 0), (0x1016, 1)):
             self.objects[key] = initial[key]
@@ -251,13 +253,16 @@ class Cia402Node:
         self._apply_torque()
 
     def _emergency(self, code: int) -> None:
-        """Send an emergency message unless stopped."""
+        """Send an emergency message, unless the node is in the NMT state stopped."""
         if self.nmt != STOPPED:
             data = code.to_bytes(2, "little") + bytes((self.objects[0x1001, 0],)) + bytes(5)
             self._unsolicited.append(Frame(0x80 + self.node_id, data))
 
     def _sdo(self, data: bytes) -> None:
-        """Answer a request to the SDO server. Objects have up to four bytes and are transferred expedited."""
+        """Answer a request to the SDO server.
+
+        Numbers have up to four bytes and are transferred in one frame.
+        """
         if len(data) != 8:
             self.malformed += 1
             return
@@ -268,10 +273,10 @@ class Cia402Node:
         """Execute an SDO request.
 
         Returns:
-            Payload of the reply.
+            Payload of the SDO reply.
 
         Raises:
-            Abort: the request is refused.
+            Abort: the drive refuses the request.
         """
         specifier = data[0]
         if specifier >> 5 == 3:
@@ -282,39 +287,41 @@ class Cia402Node:
             self._measure()
             raw = self.objects.read(key)
             return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
-        # Command 1 is a download request. Bit 1 is set for an expedited transfer.
+        # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
         if specifier >> 5 != 1 or not specifier & 2:
             raise Abort(UNKNOWN_COMMAND)
-        # Bit 0: the size is given. Bits 3..2: unused bytes. Without a given size the size of the
-        # object counts.
+        # Bit 0 tells whether the request gives a size, by the number of unused bytes in bits 3..2.
+        # Otherwise the size of the object counts.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
         self._write(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
 
     def _first_segment(self, name: bytes, text: bytes) -> bytes:
-        """Return the reply that announces a text, and keep its segments of seven bytes."""
+        """Return the reply that announces a text, and keep the text in segments of up to seven bytes."""
         self._segments = [text[i : i + 7] for i in range(0, len(text), 7)]
         return b"\x41" + name + len(text).to_bytes(4, "little")
 
     def _next_segment(self, toggle: int) -> bytes:
-        """Return the next segment of a text.
+        """Return the reply with the next segment of a text.
 
         Args:
             toggle: toggle bit of the request.
 
         Raises:
-            Abort: no upload is in progress.
+            Abort: no upload of a text is in progress.
         """
         if not self._segments:
             raise Abort(UNKNOWN_COMMAND)
         segment = self._segments.pop(0)
-        # Bit 4: toggle. Bits 3..1: unused bytes. Bit 0: the last segment.
+        # Bit 4 is the toggle bit. Bits 3..1 are the number of unused bytes. Bit 0 marks the last
+        # segment.
         head = toggle << 4 | (7 - len(segment)) << 1 | (not self._segments)
         return bytes((head,)) + segment.ljust(7, b"\0")
 
     def _write(self, key: tuple[int, int], raw: bytes) -> None:
-        """Write an object and apply the consequences."""
-        # Communication and mapping objects of RPDOs (0x1400, 0x1600) and TPDOs (0x1800, 0x1A00).
+        """Write an object as a host requests it, and apply the new value."""
+        # These are the communication and mapping objects of RPDOs (0x1400, 0x1600) and TPDOs
+        # (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
             if self.nmt != PRE_OPERATIONAL:
                 raise Abort(WRONG_STATE)
@@ -335,7 +342,7 @@ class Cia402Node:
         self._apply_object(key)
 
     def _apply_object(self, key: tuple[int, int]) -> None:
-        """Apply an object that was written."""
+        """Apply the new value of an object that a host has written."""
         if key == (0x6040, 0):
             self._control(self.objects[key])
         elif key == (0x6060, 0):
@@ -355,16 +362,16 @@ class Cia402Node:
             self._send_event_pdos()
 
     def _send_event_pdos(self) -> None:
-        """Send the PDOs that are sent on a change."""
+        """Send the TPDOs whose transmission type is *on a change*."""
         if self.nmt == OPERATIONAL:
             self._measure()
             self._unsolicited += self.pdos.on_event()
 
     def _rpdo(self, can_id: int, data: bytes) -> bool:
-        """Process an RPDO.
+        """Process an RPDO of this node. Other frames are left alone.
 
         Returns:
-            True if the identifier belongs to an RPDO.
+            True if the identifier belongs to an RPDO of this node.
         """
         if not self.pdos.receives(can_id):
             return False
@@ -379,10 +386,10 @@ class Cia402Node:
         return True
 
     def _synchronise(self) -> bool:
-        """Process SYNC: apply stored RPDOs, measure, send TPDOs.
+        """Process a SYNC frame: apply stored RPDOs, measure, and send TPDOs.
 
         Returns:
-            True if operational.
+            True if the node is operational.
         """
         if self.nmt != OPERATIONAL:
             return False
@@ -394,11 +401,11 @@ class Cia402Node:
         return True
 
     def _measure(self) -> None:
-        """Update the objects with measurements."""
+        """Update the objects of the drive with measured values."""
         measure(self, self.power, self.motor.encoder(), self.motor.velocity, self.motor.torque)
 
     def _apply_torque(self) -> None:
-        """Follow target torque or motion if power stage and mode of operation allow it."""
+        """Follow the target torque or a motion mode, if the power stage and the mode of operation allow it."""
         mode = self.objects[0x6061, 0]
         if self.power.state == ENABLED and mode in MODES:
             if not self.motion.running:
@@ -414,10 +421,10 @@ class Cia402Node:
             self.motor.servo.release()
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Check the master's heartbeat and the temperature.
+        """Do the work that is due: temperatures, motion, heartbeat and supervision of the master.
 
         Returns:
-            Frames that are due.
+            The frames that the drive sends.
         """
         self._now_ns = t_ns
         if self.thermal_ns < 0 or t_ns - self.thermal_ns >= THERMAL_PERIOD_NS:
@@ -433,7 +440,7 @@ class Cia402Node:
         return self._take_unsolicited()
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Integrate the temperatures and trip on over-temperature."""
+        """Advance the temperatures of the drive, and trip on over-temperature of the winding."""
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
@@ -443,12 +450,12 @@ class Cia402Node:
 
 
 class Cia402NodeRow(Cia402Struct, Cia402Node):
-    """A drive whose numbers are a row of an array."""
+    """A drive whose numbers are kept in a row of an array, for compiled kernels."""
 
     layout = Cia402Struct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Initialize the row. See ``Cia402Node``."""
+        """Initialize the row of the drive. See ``Cia402Node``."""
         Cia402Node.__init__(self, spec, motor, offset)
         self.motor_number = motor.number
 

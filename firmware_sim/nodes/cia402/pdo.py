@@ -1,8 +1,10 @@
-"""Process data of the simulated CiA 402 drive: four RPDOs and four TPDOs, mapped over SDO. Source: facts, cia402.
+"""Process data of the simulated CiA 402 drive: four RPDOs and four TPDOs, mapped over SDO.
+
+Source: fact sheet cia402.
 
 Objects of PDO i:
 
-    0x1400+i, 0x1800+i  communication: 1 identifier (bit 31: off), 2 transmission type
+    0x1400+i, 0x1800+i  communication: 1 identifier (bit 31: PDO is off), 2 transmission type
     0x1600+i, 0x1A00+i  mapping: 0 number of entries, 1.. entries
 
     entry: index in bits 31..16, sub-index in bits 15..8, length in bits 7..0 [bit]
@@ -14,21 +16,21 @@ from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.cia402.dictionary import OUT_OF_RANGE, Abort, Dictionary, Key
 
 OFF = 1 << 31
-"""Bit of an identifier object: the PDO is off."""
+"""Bit in the identifier object of a PDO: the PDO is off."""
 NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
 TOO_LONG = 0x06040042
 """SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
 STANDARD_RPDO = [((0x6040, 0), 2), ((0x6071, 0), 2)]
-"""RPDO mapping that kernels handle: objects and their sizes [bytes]."""
+"""Mapping of the only RPDO that kernels can handle: mapped objects and their sizes [bytes]."""
 STANDARD_TPDO = [((0x6041, 0), 2), ((0x6064, 0), 4), ((0x6077, 0), 2)]
-"""TPDO mapping that kernels handle: objects and their sizes [bytes]."""
+"""Mapping of the only TPDO that kernels can handle: mapped objects and their sizes [bytes]."""
 SYNCHRONOUS = 240
-"""Highest transmission type that depends on SYNC."""
+"""Highest transmission type with which a PDO depends on SYNC."""
 
 
 class Pdos:
-    """The PDO engine of one node."""
+    """The received and sent PDOs of one node."""
 
     def __init__(self, objects: Dictionary) -> None:
         """Use the communication and mapping objects of a dictionary."""
@@ -39,7 +41,7 @@ class Pdos:
         """Write a communication or mapping object over SDO.
 
         Raises:
-            Abort: the mapping is not possible, or is in use.
+            Abort: the mapping is not possible, or is in use by an active PDO.
         """
         index, sub = key
         if index & 0x200:
@@ -55,20 +57,20 @@ class Pdos:
         self._objects.write(key, raw)
 
     def _check(self, index: int, count: int) -> None:
-        """Check the number of entries and the length of a mapping."""
+        """Check that the number of entries and the length of a mapping are allowed."""
         if count > 4:
             raise Abort(OUT_OF_RANGE)
         if sum(self._objects[index, i + 1] & 0xFF for i in range(count)) > 64:
             raise Abort(TOO_LONG)
 
     def _entries(self, mapping: int) -> Iterator[tuple[Key, int]]:
-        """Iterate over the objects of a mapping and their sizes [bytes]."""
+        """Iterate over the objects in a mapping, with sizes [bytes]."""
         for i in range(self._objects[mapping, 0]):
             entry = self._objects[mapping, i + 1]
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8
 
     def _receiver(self, can_id: int) -> int:
-        """Return the index of the RPDO with an identifier, -1 without any."""
+        """Return the index of the RPDO with an identifier, -1 if no RPDO has the identifier."""
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 
     def receives(self, can_id: int) -> bool:
@@ -76,10 +78,10 @@ class Pdos:
         return self._receiver(can_id) >= 0
 
     def unpack(self, can_id: int, data: bytes) -> list[Key] | None:
-        """Store an RPDO, or keep it until SYNC.
+        """Write the objects of an RPDO, or keep the RPDO until SYNC.
 
         Returns:
-            The objects that were written now, None if the RPDO is too short.
+            The objects that were written at once, None if the RPDO is too short.
         """
         number = self._receiver(can_id)
         if len(data) < sum(size for _, size in self._entries(0x1600 + number)):
@@ -90,7 +92,7 @@ class Pdos:
         return self._store(number, data)
 
     def _store(self, number: int, data: bytes) -> list[Key]:
-        """Write the objects of an RPDO."""
+        """Write the objects of an RPDO and return their keys."""
         keys = []
         offset = 0
         for key, size in self._entries(0x1600 + number):
@@ -110,10 +112,10 @@ class Pdos:
         return [key for number, data in waiting.items() for key in self._store(number, data)]
 
     def on_sync(self, syncs: int) -> list[Frame]:
-        """Return the TPDOs of a SYNC.
+        """Return the TPDOs that the node sends at a SYNC.
 
         Args:
-            syncs: SYNCs since the last reset.
+            syncs: number of SYNC frames since the last reset.
         """
         transmissions = {i: self._objects[0x1800 + i, 2] for i in self._active()}
         return [
@@ -124,11 +126,14 @@ class Pdos:
 
     @property
     def identifiers(self) -> list[int]:
-        """Return the identifiers of the RPDOs."""
+        """Return the identifiers of all RPDOs of the node."""
         return [self._objects[0x1400 + i, 1] for i in range(4)]
 
     def standard_rpdo(self) -> int:
-        """Return the identifier of the RPDO that writes control word and target torque at once, -1 without any."""
+        """Return the identifier of the RPDO that kernels can handle, or -1.
+
+        It writes control word and target torque at once.
+        """
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]
             transmission = self._objects[0x1400 + i, 2]
@@ -137,9 +142,11 @@ class Pdos:
         return -1
 
     def standard_tpdo(self) -> tuple[int, int]:
-        """Return identifier and transmission type of the only TPDO: status word, position and torque after SYNC.
+        """Return identifier and transmission type of the TPDO that kernels can handle.
 
-        The identifier is -1 with any other arrangement of PDOs, or if an RPDO waits for SYNC.
+        This TPDO has status word, position and torque, is sent after SYNC, and is the only active
+        TPDO. With any other arrangement of PDOs, or if an RPDO depends on SYNC, the identifier is
+        -1.
         """
         active = self._active()
         waits = any(self._objects[0x1400 + i, 2] <= SYNCHRONOUS for i in range(4) if self.identifiers[i] < OFF)
@@ -151,7 +158,7 @@ class Pdos:
         return (self._objects[0x1800 + i, 1] & 0x7FF if standard else -1), transmission
 
     def on_event(self) -> list[Frame]:
-        """Return the TPDOs that are sent on a change."""
+        """Return the frames of the TPDOs that are sent on a change."""
         return [self._frame(i) for i in self._active() if self._objects[0x1800 + i, 2] >= 254]
 
     def _active(self) -> list[int]:

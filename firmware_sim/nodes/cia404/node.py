@@ -1,17 +1,18 @@
-"""CiA 404 measuring amplifiers for load cells. Source: facts, cia404.
+"""Simulated CiA 404 measuring amplifiers for load cells. Source: docs/facts/cia404.md.
 
 Frames (COB-ID, payload little-endian):
 
     0x000         NMT          u8 command, u8 node (0 for all)
     0x080         SYNC         object 0x1005
-    0x180.. + n   TPDO 1 to 4  as mapped, at every SYNC of the transmission type
+    0x180.. + n   TPDO 1 to 4  mapped objects, at every SYNC that the transmission type selects
     0x580+n       SDO reply    u8 specifier, u16 index, u8 sub-index, u32 value or abort code
     0x600+n       SDO request  u8 specifier, u16 index, u8 sub-index, u32 value
     0x700+n       heartbeat    u8 NMT state, 0 once after a restart
 
-Choices where the fact sheet leaves one: a SYNC with a payload is ignored, because object 0x1019 is absent. TPDOs
-on a change (types 254, 255) are sent once, on entry to operational. Communication objects can be written in
-pre-operational only. The settings are lost at a restart.
+Choices where the fact sheet is not definite: a SYNC with a payload is ignored, because object
+0x1019 is absent. TPDOs of the types 254 and 255 (on a change) are sent only once, when the node
+becomes operational. The host can write communication objects only while the node is
+pre-operational. The settings are lost at a restart.
 """
 
 import math
@@ -33,29 +34,31 @@ STOPPED = 0x04
 PRE_OPERATIONAL = 0x7F
 """NMT state: pre-operational."""
 SYNCHRONOUS = 240
-"""Highest transmission type that depends on SYNC."""
+"""Highest transmission type with which a TPDO depends on SYNC."""
 _NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
 
 
 class Amplifiers:
-    """The load cells of a hand on amplifiers, with their noise, bias and faults.
+    """The load cells of a hand that are connected to amplifiers, with their noise, bias and faults.
 
     Attributes:
-        nodes: amplifiers.
-        bias: bias of each load cell [N].
-        cell_faults: change of the reading of load cells, by channel.
+        nodes: the amplifiers of the hand.
+        bias: present bias of each load cell [N].
+        cell_faults: function that changes the reading of a load cell, by the index of the load
+            cell.
         joint_faults: empty, because amplifiers have no joint encoders.
-        suppressed: function that is called in place of sending a frame, by the frame's identifier.
+        suppressed: functions by the identifier of a frame. The function is called instead of
+            sending the frame.
     """
 
     def __init__(self, spec: SensorSpec, tensions: Callable[[], Any], seed: int) -> None:
-        """Set up the amplifiers after power-up.
+        """Set up the amplifiers in the state after power-up.
 
         Args:
             spec: description of the amplifiers.
-            tensions: returns the true tensions [N] in the order of the load cells.
-            seed: seed of the noise.
+            tensions: function that returns the true tensions [N] in the order of the load cells.
+            seed: seed of the noise of the load cells.
         """
         self._tensions = tensions
         self.tension_noise = spec.tension_noise
@@ -74,12 +77,15 @@ class Amplifiers:
         ]
 
     def frame_of_cell(self, index: int) -> int:
-        """Return the identifier of the frame with a load cell, as a host usually maps it."""
+        """Return the identifier of the frame with the reading of a load cell, in a host's usual mapping."""
         node = next(node for node in self.nodes if index in node.cells)
         return 0x180 + 0x100 * ((index - node.cells.start) // 2) + node.node_id
 
     def sample(self, t_ns: int) -> Any:
-        """Return the readings of all load cells [N]. All amplifiers sample at the same SYNC."""
+        """Return the readings of all load cells [N].
+
+        The amplifiers share one sample for each SYNC.
+        """
         if t_ns != self._sampled_ns:
             elapsed_s = (t_ns - self._sampled_ns) * 1e-9 if self._sampled_ns >= 0 else 0.0
             self._sampled_ns = t_ns
@@ -93,21 +99,21 @@ class Amplifiers:
 
 
 class AmplifierNode:
-    """One amplifier.
+    """A simulated CiA 404 amplifier.
 
     Attributes:
-        node_id: node number.
+        node_id: node number of the amplifier.
         cells: indices of the node's load cells in the list of the hand.
-        nmt: NMT state.
-        objects: object dictionary.
+        nmt: NMT state of the amplifier.
+        objects: object dictionary of the amplifier.
         ids: identifiers that the node may answer.
-        malformed: frames that the node could not decode.
+        malformed: number of frames the node could not decode.
         wake_ns: time of the next heartbeat [ns].
-        serial: serial number.
+        serial: serial number of the amplifier.
     """
 
     def __init__(self, load_cells: Amplifiers, spec: SensorSpec, node_id: int, cells: range, serial: int) -> None:
-        """Set up the amplifier after power-up."""
+        """Set up the amplifier in the state after power-up."""
         self._load_cells = load_cells
         self._range = spec.full_range
         self.node_id = node_id
@@ -119,7 +125,7 @@ class AmplifierNode:
         self.restart()
 
     def restart(self) -> None:
-        """Restart with the objects as delivered, and announce it."""
+        """Restart with all objects as delivered, and announce the restart on the bus."""
         self.objects = Objects(self.node_id, len(self.cells), self._range, self.serial)
         self.nmt = PRE_OPERATIONAL
         self._syncs = 0
@@ -133,10 +139,10 @@ class AmplifierNode:
         self.ids = frozenset((0x000, self._sync_id, 0x600 + self.node_id))
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Process a frame.
+        """Process a frame from the bus.
 
         Returns:
-            The frames that the amplifier sends in response, None if the frame is not for this node.
+            The frames sent in response by the amplifier, None if the frame is not for this node.
         """
         can_id = frame.can_id
         data = frame.data
@@ -154,7 +160,7 @@ class AmplifierNode:
         return self._take_out()
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Send the heartbeat, and frames that wait."""
+        """Return the heartbeat if due, and all frames waiting to be sent."""
         self._now_ns = t_ns
         period_ns = self.objects[0x1017, 0] * 1_000_000
         if period_ns and not self._out:
@@ -163,7 +169,7 @@ class AmplifierNode:
         return self._take_out()
 
     def _take_out(self) -> list[Frame]:
-        """Return the frames that wait to be sent, and clear them. Suppressed frames are left out."""
+        """Return the frames waiting to be sent, without suppressed frames, and empty the list."""
         out = self._out
         self._out = []
         suppressed = self._load_cells.suppressed
@@ -184,7 +190,7 @@ class AmplifierNode:
             self._send(lambda kind: kind > SYNCHRONOUS)
 
     def _synchronise(self, data: bytes) -> None:
-        """Sample the load cells, and send the TPDOs that are due."""
+        """Process a SYNC frame: sample the load cells, and send the TPDOs that are due."""
         if data:
             self.malformed += 1
             return
@@ -193,7 +199,7 @@ class AmplifierNode:
             self._send(lambda kind: 1 <= kind <= SYNCHRONOUS and self._syncs % kind == 0)
 
     def _send(self, is_due: Callable[[int], bool]) -> None:
-        """Send the TPDOs whose transmission type is due."""
+        """Send the TPDOs for whose transmission type ``is_due`` returns True."""
         self._sample()
         for i in range(TPDOS):
             can_id = self.objects[0x1800 + i, 1]
@@ -206,7 +212,10 @@ class AmplifierNode:
         self.objects.readings = [float(readings[i]) for i in self.cells]
 
     def _sdo(self, data: bytes) -> None:
-        """Answer a request to the SDO server. Objects have up to four bytes and are transferred expedited."""
+        """Answer a request to the SDO server.
+
+        Objects have up to four bytes and are transferred in one frame.
+        """
         if len(data) != 8:
             self.malformed += 1
             return
@@ -217,16 +226,17 @@ class AmplifierNode:
         """Execute an SDO request.
 
         Returns:
-            Payload of the reply.
+            Payload of the SDO reply.
 
         Raises:
-            Abort: the request is refused.
+            Abort: the amplifier refuses the request.
         """
         if data[0] >> 5 == 2:
             self._sample()
             raw = self.objects.read(key)
             return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
-        # Command 1 is a download request. Bit 1 is set for an expedited transfer, bit 0 if the size is given.
+        # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame),
+        # bit 0 if the request gives the size.
         if data[0] >> 5 != 1 or data[0] & 3 != 3:
             raise Abort(UNKNOWN_COMMAND)
         if 0x1000 <= key[0] < 0x1C00 and self.nmt != PRE_OPERATIONAL and key != (0x1017, 0):

@@ -1,6 +1,7 @@
-"""The object dictionary of the simulated CiA 404 amplifier. Source: facts, cia404.
+"""The object dictionary of the simulated CiA 404 amplifier. Source: docs/facts/cia404.md.
 
-Objects as delivered. n is the node number, c a channel from 1 on.
+The objects below have the values as delivered. n is the node number, and c is a channel, counted
+from 1.
 
     1000:0  device type    0x00020194: analogue inputs, profile 404
     1005:0  SYNC           0x080
@@ -30,55 +31,58 @@ from firmware_sim.nodes.cia402.dictionary import (
 )
 
 OFF = 1 << 31
-"""Bit of an identifier object: the PDO is off."""
+"""Bit in the identifier object of a TPDO: the TPDO is off."""
 NEWTON = 0x0021_0000
-"""Unit newton. Source: CiA 303-2."""
+"""Number of the unit newton in object 0x6131. Source: CiA 303-2."""
 AS_DELIVERED = 0x00FD_0000
-"""Unit of the maker, before a host sets another one."""
+"""Number of the maker's unit in object 0x6131, until a host sets another unit."""
 TPDOS = 4
-"""Number of TPDOs."""
+"""Number of TPDOs of an amplifier."""
 NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
 TOO_LONG = 0x06040042
 """SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
 NOT_VALID = 1
-"""Bit of the status: the reading is not valid."""
+"""Status bit: the reading of the channel is not valid."""
 POSITIVE_OVERLOAD = 2
-"""Bit of the status: above the range."""
+"""Status bit: the reading is above the range."""
 NEGATIVE_OVERLOAD = 4
-"""Bit of the status: below the range."""
+"""Status bit: the reading is below the range."""
 OVERLOAD = 1.03125
-"""Smallest reading that counts as overload, divided by the range.
+"""Smallest reading that counts as overload, divided by the rated load.
 
 Source: WIKA MH-4-CAN, 3.125 % beyond the range.
 """
 FLOAT = 0x6130
-"""Process value as a float."""
+"""Index of the process value as a float."""
 SHORT = 0x7130
-"""Process value with 16 bits."""
+"""Index of the process value with 16 bits."""
 LONG = 0x9130
-"""Process value with 32 bits."""
+"""Index of the process value with 32 bits."""
 _INVALID = {SHORT: -(1 << 15), LONG: -(1 << 31)}
-"""Integer values that report an overload. A float reports it as NaN. Source: WIKA MH-4-CAN."""
+"""Integer process values that report an overload.
+
+The float process value is then NaN. Source: WIKA MH-4-CAN.
+"""
 _SIZES = {FLOAT: 4, SHORT: 2, LONG: 4, 0x6150: 1}
 """Sizes of the objects that can be mapped [bytes]."""
 
 
 class Objects:
-    """Values of all objects of one amplifier.
+    """The object dictionary of one amplifier: the values of all objects.
 
     Attributes:
         readings: present reading of each channel [N].
     """
 
     def __init__(self, node_id: int, channels: int, full_range: float, serial: int) -> None:
-        """Set all objects to their values as delivered.
+        """Set all objects to the values with which the maker delivers the amplifier.
 
         Args:
-            node_id: node number.
-            channels: number of channels.
-            full_range: rated load of the load cells [N].
-            serial: serial number.
+            node_id: node number of the amplifier.
+            channels: number of channels of the amplifier.
+            full_range: rated load of the connected load cells [N].
+            serial: serial number of the amplifier.
         """
         self.readings = [0.0] * channels
         self._range = full_range
@@ -103,14 +107,14 @@ class Objects:
             self._add((0x6132, channel), 1, 2)
 
     def _add(self, key: Key, size: int, value: int, fixed: bool = False) -> None:
-        """Add an object."""
+        """Add an object to the dictionary. A fixed object is read-only for hosts."""
         self._sizes[key] = size
         self._values[key] = value
         if fixed:
             self._fixed.add(key)
 
     def __getitem__(self, key: Key) -> int:
-        """Return the value of an object."""
+        """Return the stored value of an object."""
         return self._values[key]
 
     def __setitem__(self, key: Key, value: int) -> None:
@@ -118,7 +122,7 @@ class Objects:
         self._values[key] = value
 
     def read(self, key: Key) -> bytes:
-        """Return the bytes of an object.
+        """Return the value of an object as bytes.
 
         Raises:
             Abort: the object does not exist.
@@ -132,7 +136,7 @@ class Objects:
         return self._values[key].to_bytes(self._sizes[key], "little")
 
     def write(self, key: Key, raw: bytes) -> None:
-        """Write bytes from the wire.
+        """Write the bytes of a received frame to an object.
 
         Raises:
             Abort: the object does not exist, is read-only or has another length, or the mapping is not possible.
@@ -148,7 +152,7 @@ class Objects:
         self._values[key] = value
 
     def _check_mapping(self, key: Key, value: int) -> None:
-        """Check that a mapping is possible, and that its PDO is off."""
+        """Check that a new mapping value is possible, and that the TPDO of the mapping is off."""
         index, sub = key
         if not self[index - 0x200, 1] & OFF:
             raise Abort(WRONG_STATE)
@@ -162,7 +166,7 @@ class Objects:
             raise Abort(TOO_LONG)
 
     def payload(self, tpdo: int) -> bytes:
-        """Return the payload of a TPDO."""
+        """Return the payload of a TPDO with the present readings."""
         entries = [self[0x1A00 + tpdo, i + 1] for i in range(self[0x1A00 + tpdo, 0])]
         return b"".join(self._measured(entry >> 16, entry >> 8 & 0xFF) for entry in entries)
 
@@ -174,11 +178,12 @@ class Objects:
         return NOT_VALID | (POSITIVE_OVERLOAD if reading > 0 else NEGATIVE_OVERLOAD)
 
     def _measured(self, index: int, channel: int) -> bytes:
-        """Return process value or status of a channel."""
+        """Return the process value or the status of a channel as bytes."""
         status = self._status(channel)
         if index == 0x6150:
             return bytes((status,))
-        # The maker's unit is 1/100 of a newton here: a host that does not set the unit reads a wrong tension.
+        # The maker's unit is assumed to be 1/100 N, so a host that does not set the unit reads
+        # wrong tensions.
         unit = 1.0 if self[0x6131, channel] == NEWTON else 100.0
         value = math.nan if status else self.readings[channel - 1] * unit
         if index == FLOAT:

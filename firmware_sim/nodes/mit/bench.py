@@ -1,4 +1,7 @@
-"""Damiao motors as delivered. Source of the ranges: facts, mit_damiao. The free shaft is an assumption."""
+"""Damiao motors as delivered.
+
+The data of the free shaft are an assumption. Source of the ranges: fact sheet mit_damiao.
+"""
 
 import math
 from typing import NamedTuple
@@ -27,20 +30,20 @@ TYPES = {
 }
 """PMAX [rad], VMAX [rad/s] and TMAX [N m] of each motor type.
 
-Source of the types that the fact sheet lacks: public clients, DM4310V in i2rt, DM6248 in
-openarm_can.
+The fact sheet lacks some types. These are from public client software: DM4310V from i2rt, DM6248
+from openarm_can.
 """
 
 
 class Rating(NamedTuple):
-    """Rated values of a motor type at its output shaft, and its supply voltage.
+    """Rated values of a motor type at the output shaft, and supply voltage.
 
     Attributes:
-        peak: peak torque [N m].
-        no_load: no-load speed [1/min].
-        torque_constant: torque per phase current [N m/A].
-        resistance: phase resistance [ohm].
-        supply: supply voltage [V].
+        peak: peak torque of the motor [N m].
+        no_load: speed of the motor without load [1/min].
+        torque_constant: torque of the motor per phase current [N m/A].
+        resistance: resistance of a motor phase [ohm].
+        supply: supply voltage of the drive [V].
     """
 
     peak: float
@@ -51,13 +54,14 @@ class Rating(NamedTuple):
 
     @property
     def top_speed(self) -> float:
-        """Return the no-load speed [rad/s]."""
+        """Return the speed of the motor without load [rad/s]."""
         return self.no_load * math.tau / 60.0
 
     @property
     def stall_torque(self) -> float:
-        """Return the torque at standstill if only the voltage limited the current [N m]."""
-        # Largest amplitude of a phase voltage with space-vector modulation.
+        """Return the motor's torque at standstill if only the voltage limited the current [N m]."""
+        # With space-vector modulation, the largest amplitude of a phase voltage is the supply
+        # voltage / sqrt(3).
         return self.torque_constant * self.supply / math.sqrt(3.0) / self.resistance
 
 
@@ -74,26 +78,29 @@ RATINGS = {
     "dm10010l": Rating(120.0, 100.0, 2.00025, 0.11),
     "dm10010": Rating(150.0, 75.0, 2.59875, 0.125),
 }
-"""Ratings by motor type. Source: wiki of Seeed Studio, table in "Damiao Series"."""
+"""Published ratings by motor type. Source: wiki of Seeed Studio, table in "Damiao Series"."""
 STALL_FACTOR = 2.0
-"""Stall torque divided by TMAX of a motor without a published rating.
+"""Stall torque divided by TMAX, for motor types without a published rating.
 
-The no-load speed of such a motor is VMAX.
+The no-load speed of these types is VMAX.
 
 Both are assumptions.
 """
 DEFAULT_TYPE = "dm4310"
-"""Default motor type."""
+"""Motor type if none is given."""
 INERTIA_PER_TORQUE = 2e-4
-"""Output inertia of a geared MIT motor for each N m of TMAX [kg m2/N m]: 2e-3 for the 10 N m of a DM-J4310."""
+"""Inertia of a geared MIT motor at the output, divided by TMAX [kg m2/N m].
+
+A DM-J4310 (10 N m) has 2e-3 kg m2.
+"""
 
 
 def shaft(kind: str, **options: object) -> Shaft:
-    """Build the shaft of a motor.
+    """Build the shaft of a motor type.
 
     Args:
         kind: key of ``TYPES``.
-        options: options of the hand file.
+        options: options of the motor, as in a hand file.
     """
     position, velocity, peak = TYPES[kind]
     inertia = INERTIA_PER_TORQUE * peak
@@ -110,8 +117,11 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace disable by a request for feedback, so that the faulty motor still answers."""
-    # Remote and extended frames have flags above the 11 bits of the identifier.
+    """Replace the command *disable* by a request for feedback.
+
+    The faulty motor then still answers.
+    """
+    # The identifiers of remote and extended frames have flags above their lowest 11 bits.
     if frame.data != b"\xff" * 7 + b"\xfd" or frame.can_id > 0x7FF:
         return frame
     data = frame.can_id.to_bytes(2, "little") + b"\xcc" + bytes(5)
@@ -119,15 +129,16 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
-    """Replace the value of TMAX by 1 in a read-back."""
-    # Read (0x33) of register 23 (TMAX) by an identifier below 0x100.
+    """Replace the value of the register TMAX by 1 in the reply to a read request."""
+    # The reply is to a read request (0x33) of register 23 (TMAX), from a motor with an identifier
+    # below 0x100.
     data = frame.data
     matches = len(data) == 8 and data[2] == 0x33 and data[3] == 23 and data[1] == 0
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame  # TMAX reads 1
 
 
 def _force_command(node: MitNode, frame: Frame) -> None:
-    """Apply an MIT command in any state."""
+    """Apply an MIT command in any state of the motor."""
     if frame.can_id == node.node_id and len(frame.data) == 8 and frame.data[:7] != b"\xff" * 7:
         apply_command(node, node.motor.servo, WORD.unpack(frame.data)[0])
 
@@ -136,4 +147,4 @@ SPEC = ProtocolSpec(
     MitNode, range(1, 0x7F0), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command, _corrupt_reply, MitNodeRow,
     MIT, _force_command,
 )  # fmt: skip
-"""The MIT protocol with Damiao motors."""
+"""Specification of the MIT protocol with Damiao motors."""

@@ -1,4 +1,4 @@
-"""MIT frames of Damiao motors. Source: facts, mit_damiao.
+"""MIT frames of Damiao motors. Source: fact sheet mit_damiao.
 
 Command to ESC_ID (8 bytes, highest byte and bit first):
 
@@ -18,8 +18,9 @@ Feedback from MST_ID (8 bytes, highest byte and bit first):
     bit 15..8   temperature of the MOSFETs [degC]
     bit  7..0   temperature of the winding [degC]
 
-Kernels handle the eight bytes as one signed 64-bit integer, whose sign has no meaning. Callers that
-want compiled kernels call them through this module.
+Kernels handle the eight bytes as one signed 64-bit integer. The sign of the integer has no meaning.
+Callers that want compiled kernels must call them through this module, because ``compiled.use``
+replaces the attributes of the module.
 """
 
 import ctypes
@@ -30,24 +31,24 @@ from firmware_sim.compiled import compiled, inner
 from firmware_sim.nodes.thermal import ThermalStruct
 
 WORD = struct.Struct(">q")
-"""Conversion between the bytes of a frame and a 64-bit integer."""
+"""Conversion between the eight bytes of a payload and a 64-bit integer."""
 KP_MAX = 500.0
-"""Range of kp [N m/rad]."""
+"""Maximum of kp in a command [N m/rad]."""
 KD_MAX = 5.0
-"""Range of kd [N m s/rad]."""
+"""Maximum of kd in a command [N m s/rad]."""
 ENABLED = 0x1
-"""State nibble of a drive that follows commands."""
+"""State nibble in the feedback of an enabled drive."""
 THERMAL_PERIOD_NS = 100_000_000
-"""Period of the thermal update [ns]."""
+"""Period of the update of the drive's temperatures [ns]."""
 
 
 class Ranges(NamedTuple):
-    """Symmetric ranges of registers 21, 22, 23.
+    """Symmetric ranges of the values in frames, from registers 21, 22 and 23.
 
     Attributes:
-        position: PMAX [rad].
-        velocity: VMAX [rad/s].
-        torque: TMAX [N m].
+        position: largest position, register PMAX [rad].
+        velocity: largest velocity, register VMAX [rad/s].
+        torque: largest torque, register TMAX [N m].
     """
 
     position: float
@@ -56,7 +57,10 @@ class Ranges(NamedTuple):
 
 
 class MitStruct(ctypes.Structure):
-    """Memory of a ``node.MitNode``. ``motor_number`` is the row of its rotor."""
+    """Memory of a drive for compiled kernels, see ``node.MitNode``.
+
+    ``motor_number`` is the row of its rotor.
+    """
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("offset", "direction")),
@@ -73,8 +77,8 @@ class Command(NamedTuple):
     Attributes:
         position: position setpoint [rad].
         velocity: velocity setpoint [rad/s].
-        kp: stiffness [N m/rad].
-        kd: damping [N m s/rad].
+        kp: stiffness towards the position setpoint [N m/rad].
+        kd: damping towards the velocity setpoint [N m s/rad].
         torque: feedforward torque [N m].
     """
 
@@ -87,24 +91,27 @@ class Command(NamedTuple):
 
 @compiled("real", "real", "count")
 def to_code(value: float, limit: float, bits: int) -> int:
-    """Encode a value in -limit..limit: clamp, then truncate as the firmware does."""
+    """Encode a value as an integer code.
+
+    The value is clamped to -limit..limit, and the code is truncated as in the firmware.
+    """
     clamped = -limit if value < -limit else limit if value > limit else value
-    # The order of the operations is the firmware's: another order rounds differently.
+    # The operations have the order of the firmware, because another order would round differently.
     return int((clamped + limit) * ((1 << bits) - 1) / (2.0 * limit))
 
 
 @compiled("count", "real", "count")
 def from_code(code: int, limit: float, bits: int) -> float:
-    """Decode a value in -limit..limit."""
+    """Decode an integer code into a value between -limit and limit."""
     return code * (2.0 * limit) / ((1 << bits) - 1) - limit
 
 
 @compiled("count", "real", "real", "real")
 def read_command(word: int, position: float, velocity: float, torque: float) -> tuple[float, ...]:
-    """Decode a command.
+    """Decode an MIT command.
 
     Args:
-        word: frame as an integer.
+        word: payload of the command as an integer.
         position: position range [rad].
         velocity: velocity range [rad/s].
         torque: torque range [N m].
@@ -123,7 +130,7 @@ def read_command(word: int, position: float, velocity: float, torque: float) -> 
 
 @compiled("real")
 def _degrees(value: float) -> int:
-    """Return a temperature as one byte, saturated."""
+    """Return a temperature [degC] as one byte, saturated at 0 and 255."""
     return 0 if value < 0.0 else 255 if value > 255.0 else int(value)
 
 
@@ -132,13 +139,13 @@ def write_feedback(
     head: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
     mosfet: float, winding: float,
 ) -> int:  # fmt: skip
-    """Encode feedback.
+    """Encode the feedback of an MIT drive.
 
     Args:
         head: state or error nibble and low four bits of ESC_ID, as one byte.
-        p: position [rad], saturated at the range.
-        v: velocity [rad/s], saturated at the range.
-        t: torque [N m], saturated at the range.
+        p: measured position [rad], saturated at its range.
+        v: measured velocity [rad/s], saturated at its range.
+        t: measured torque [N m], saturated at its range.
         position: position range, register 21 [rad].
         velocity: velocity range, register 22 [rad/s].
         torque: torque range, register 23 [N m].
@@ -146,26 +153,28 @@ def write_feedback(
         winding: temperature of the winding [degC].
 
     Returns:
-        Frame as an integer.
+        Payload of the feedback as an integer.
     """
     motion = to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
-    # Two's complement by hand: a shift of more than 127 would overflow 64 bits in compiled code.
+    # The head is made a signed byte first. In compiled code, shifting a head above 127 would
+    # overflow 64 bits.
     signed = head - 256 if head > 127 else head
     return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
 
 
 @inner
 def apply_command(node: Any, servo: Any, word: int) -> None:
-    """Apply a command to the servo of an enabled drive.
+    """Apply an MIT command to the servo of an enabled drive.
 
     Args:
-        node: drive, a row or an object.
-        servo: servo of its rotor.
-        word: frame as an integer.
+        node: the drive, as an array row or as a Python object.
+        servo: servo of the drive's rotor.
+        word: payload of the command as an integer.
     """
     ranges = node.position_range, node.velocity_range, node.torque_range
     position, velocity, servo.kp, servo.kd, torque = read_command(word, *ranges)
-    # From the wire to the hand: subtract the encoder offset, then apply the direction of the motor.
+    # To convert an angle in a frame to the spool, subtract the encoder offset, then apply the
+    # motor's direction.
     servo.position = node.direction * (position - node.offset)
     servo.velocity = node.direction * velocity
     servo.torque = node.direction * torque
@@ -176,14 +185,14 @@ def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: f
     """Encode the present feedback of a drive.
 
     Args:
-        node: drive, a row or an object.
+        node: the drive, as an array row or as a Python object.
         rotor: rotor of the drive.
-        angle: spool angle of the encoder [rad].
+        angle: spool angle that the encoder measures [rad].
         mosfet: temperature of the MOSFETs [degC].
         winding: temperature of the winding [degC].
 
     Returns:
-        Frame as an integer.
+        Payload of the feedback as an integer.
     """
     sign = node.direction
     head = node.state << 4 | node.node_id & 0xF
@@ -196,14 +205,14 @@ def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: f
 
 @inner
 def schedule(node: Any) -> None:
-    """Schedule the next wake of a drive: thermal update, or watchdog while enabled."""
+    """Schedule the next wake of a drive: at the update of temperatures, or earlier if the watchdog must be checked."""
     node.wake_ns = node.thermal_ns + THERMAL_PERIOD_NS
     if node.timeout_ns != 0 and node.state == ENABLED:
         node.wake_ns = min(node.wake_ns, node.watchdog_fed_ns + node.timeout_ns)
 
 
 def decode_command(data: bytes, ranges: Ranges) -> Command:
-    """Decode a command of 8 bytes."""
+    """Decode an MIT command of 8 bytes."""
     return Command(*read_command(WORD.unpack(data)[0], *ranges))
 
 

@@ -1,14 +1,15 @@
 """Position-velocity, velocity and force-position mode of a Damiao motor.
 
-Frames (little-endian), each followed only in its own mode (register 10):
+Frames (little-endian). The motor follows each of them only in the frame's own mode (register 10):
 
     0x100 + ESC_ID  float32 position [rad], float32 largest speed [rad/s]
     0x200 + ESC_ID  float32 velocity [rad/s]
     0x300 + ESC_ID  float32 position [rad], uint16 speed [0.01 rad/s], uint16 current [1/10000 of the largest]
 
-Source: facts, mit_damiao, and the manual of DM-J4310-2EC: ramps of registers ACC and DEC act in
-position-velocity and velocity mode, the codes of force-position mode end at 10000. Assumptions: the
-gains, and that ACC or DEC 0 (as delivered here) means no ramp.
+Source: fact sheet mit_damiao and the manual of DM-J4310-2EC. According to the manual, the ramps in
+registers ACC and DEC act in position-velocity and velocity mode, and the codes of force-position
+mode end at 10000. Two things are assumptions: the gains, and that ACC or DEC of 0 (the value as
+delivered) means no ramp.
 """
 
 import math
@@ -18,18 +19,18 @@ from firmware_sim.nodes.mit import registers as reg
 from firmware_sim.nodes.motion import PERIOD_NS, Cascade, LoopGains, Setpoint, assumed_gains
 
 NEVER_NS = (1 << 63) - 1
-"""Due time of a motor without a setpoint [ns]."""
+"""Time of the next update of a motor without a setpoint: never [ns]."""
 
 
 class MotionModes:
-    """Setpoint and cascade of one motor.
+    """The motion modes of a motor: setpoint and controllers.
 
     Attributes:
-        due_ns: time of the next update [ns].
+        due_ns: time of the next update of the setpoint [ns].
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the registers and the rotor of a ``node.MitNode``."""
+        """Use the registers and the rotor of a motor (``node.MitNode``)."""
         self._node = node
         self._setpoint = Setpoint()
         self._cascade = Cascade(node.motor)
@@ -41,29 +42,32 @@ class MotionModes:
         self.due_ns = NEVER_NS
 
     def follow_velocity(self, velocity: float) -> None:
-        """Take a velocity on the wire [rad/s]."""
+        """Take the target velocity [rad/s] from a frame."""
         self._set_target(assumed_gains(self._node.motor.inertia, 0.0), self._node.direction * velocity, math.inf, 1.0)
 
     def follow_position(self, position: float, speed: float) -> None:
-        """Take a position on the wire [rad] and the largest speed [rad/s]."""
+        """Take the target position [rad] and the largest speed [rad/s] from a frame."""
         self._set_target(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, 1.0)
 
     def follow_force_position(self, position: float, speed: float, fraction: float) -> None:
-        """Take a position on the wire [rad], the largest speed [rad/s] and the fraction of the largest current."""
+        """Take target position [rad], largest speed [rad/s] and fraction of the largest current from a frame."""
         self._set_target(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction)
 
     def _at_spool(self, position: float) -> float:
         return float(self._node.direction * (position - self._node.offset))
 
     def _set_target(self, gains: LoopGains, target: float, speed: float, fraction: float) -> None:
-        """Take a target. The ramps start from the present motion after a mode change or while disabled."""
+        """Store a target at the spool with gains, largest speed and fraction of the largest torque."""
         self._gains = gains
         self._target = target
         self._speed = speed
         self._fraction = fraction
 
     def start(self, t_ns: int) -> None:
-        """Follow the target from a time [ns] on."""
+        """Follow the target from a time [ns] on.
+
+        If no target was followed before, ramps start from the present motion.
+        """
         if not self._running:
             self._running = True
             self._updated_ns = t_ns
@@ -73,12 +77,12 @@ class MotionModes:
         self.advance(t_ns)
 
     def end(self) -> None:
-        """Forget the target."""
+        """Stop following the target."""
         self._running = False
         self.due_ns = NEVER_NS
 
     def advance(self, t_ns: int) -> None:
-        """Update setpoint and servo if it is time [ns]."""
+        """Update the setpoint and the servo if the update is due at the present time [ns]."""
         if not self._running or t_ns < self.due_ns:
             return
         step_s = (t_ns - self._updated_ns) * 1e-9
@@ -98,7 +102,7 @@ class MotionModes:
             elif step_s:
                 self._setpoint.ramp(target, rise, fall, step_s)
         elif node.mode == reg.MODE_FORCE or rise == fall == math.inf:
-            # The cascade limits the speed.
+            # The controllers limit the speed here, not the setpoint.
             self._setpoint.jump(self._target)
         elif step_s:
             self._setpoint.trapezoid(self._target, speed, rise, fall, step_s)

@@ -1,15 +1,17 @@
-"""A motor with the firmware of a Damiao drive, which sends only answers. Source: facts, mit_damiao.
+"""A motor with the firmware of a Damiao drive, which sends only answers.
 
-Choices where the fact sheet has an "assumption":
+Source: fact sheet mit_damiao.
 
-- Commands to ESC_ID feed the watchdog, register requests do not. The option ``watchdog`` selects
-  another behaviour of ``WATCHDOGS``, because the manual only says "no CAN commands within the
-  interval".
-- FE (set zero) acts only while disabled.
-- A command of another mode than CTRL_MODE is answered and has no effect.
-- Position and velocity modes are a cascade with fixed gains, without ramps.
-- Positions beyond PMAX saturate.
-- Unknown registers are not answered.
+Choices where the fact sheet has only an assumption:
+
+- Commands to ESC_ID feed the watchdog, but register requests do not. The manual only says "no CAN
+  commands within the interval". Therefore the option ``watchdog`` can select another behaviour of
+  ``WATCHDOGS``.
+- The special command FE (set zero) acts only while the motor is disabled.
+- A command for another mode than that in CTRL_MODE is answered, but has no effect.
+- Position and velocity modes use cascaded controllers with fixed gains, see ``motion``.
+- Positions beyond PMAX are saturated in the feedback.
+- Requests for unknown registers are not answered.
 
 Register request to 0x7FF (8 bytes):
 
@@ -18,8 +20,8 @@ Register request to 0x7FF (8 bytes):
     byte 3     register
     byte 4..7  value, uint32 or float32, low byte first
 
-The reply from MST_ID has the same layout. Special commands are seven bytes of FF and FC (enable),
-FD (disable), FE (set zero) or FB (clear error).
+The reply from MST_ID has the same layout. A special command has seven bytes of FF, and then FC
+(enable), FD (disable), FE (set zero) or FB (clear error).
 """
 
 import enum
@@ -35,14 +37,15 @@ from firmware_sim.nodes.thermal import Thermal, ThermalStruct
 from firmware_sim.plant.motor import Motor
 
 REGISTER_ID = 0x7FF
-"""Identifier of register requests, common to all motors."""
+"""Identifier of register requests, the same for all motors."""
 WATCHDOG_UNIT_NS = 50_000
 """Unit of the register TIMEOUT [ns]."""
 _SPECIAL = b"\xff" * 7
 _MOTION = {1: struct.Struct("<ff"), 2: struct.Struct("<f"), 3: struct.Struct("<fHH")}
-"""Layouts of commands to 0x100, 0x200 and 0x300 + ESC_ID."""
+"""Layouts of the commands to 0x100 + ESC_ID, 0x200 + ESC_ID and 0x300 + ESC_ID."""
 FULL_CODE = 10_000
-"""Largest code of speed (100 rad/s) and of current (all of it) in force-position mode."""
+"""Largest code in force-position mode, for a speed of 100 rad/s or the largest current.
+"""
 _ENABLE = 0xFC
 _DISABLE = 0xFD
 _ZERO = 0xFE
@@ -59,18 +62,21 @@ WATCHDOGS = {
     FRAMES: "register requests feed it too",
     ALWAYS: "commands feed it, and it also fires while the motor is disabled",
 }
-"""Behaviours of the watchdog."""
+"""Possible behaviours of the watchdog, by the value of the option ``watchdog``."""
 EACH, IN_ERROR, NEVER = "each", "error", "never"
 CLEAR_ANSWERS = {
     EACH: "each clear command is answered",
     IN_ERROR: "only one that clears an error",
     NEVER: "none is answered",
 }
-"""Answers to the clear command, which are not documented."""
+"""Possible answers to the command *clear error*, which the manual does not document."""
 
 
 class FeedbackState(enum.IntEnum):
-    """State nibble of the feedback. All states above ENABLED are errors without torque."""
+    """State nibble in the feedback.
+
+    In states above ENABLED, which are errors, the motor has no torque.
+    """
 
     DISABLED = 0x0
     ENABLED = 0x1
@@ -82,41 +88,42 @@ class FeedbackState(enum.IntEnum):
 
 
 _ENABLED = FeedbackState.ENABLED
-"""The state as a module constant, for speed in ``_command``."""
+"""The state ENABLED as a module constant, because its look-up in ``_command`` is then faster."""
 
 
 class MitNode:
-    """One motor node.
+    """A simulated Damiao motor on the bus.
 
     Attributes:
-        state: state nibble.
-        registers: register file.
-        offset: angle on the wire at theta = 0 [rad].
-        thermal: temperatures.
+        state: state nibble of the motor.
+        registers: registers of the motor.
+        offset: angle in frames at the spool angle theta = 0 [rad].
+        thermal: temperatures of the motor and its drive.
         ids: identifiers that the node may answer.
-        malformed: frames on the node's identifiers that the node could not decode.
-        wake_ns: time of the next wake [ns].
+        malformed: number of frames with the node's identifiers that the node could not decode.
+        wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last frame that fed the watchdog [ns].
-        timeout_ns: timeout of the watchdog [ns], 0 if off.
-        thermal_ns: time of the last thermal update [ns], negative before the first.
+        timeout_ns: timeout of the watchdog [ns], 0 if the watchdog is off.
+        thermal_ns: time of the last update of the temperatures [ns], negative before the first
+            update.
         node_id: identifier of commands, register 8.
         reply_id: identifier of answers, register 7.
-        position_range: register 21 [rad].
-        velocity_range: register 22 [rad/s].
-        mode: register 10, the control mode.
-        torque_range: register 23 [N m].
+        position_range: largest position in frames, register 21 [rad].
+        velocity_range: largest velocity in frames, register 22 [rad/s].
+        mode: control mode, register 10.
+        torque_range: largest torque in frames, register 23 [N m].
         direction: +1 or -1, sign between motor angle and spool angle.
     """
 
     state: int
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set up the node after power-up.
+        """Set up the node in the state after power-up.
 
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle on the wire at theta = 0 [rad].
+            offset: angle in frames at the spool angle theta = 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -136,16 +143,16 @@ class MitNode:
         self._update_derived()
 
     def _temperatures(self, torque_constant: float) -> Thermal:
-        """Return the temperatures of a drive at ambient temperature."""
+        """Create the temperatures of a drive, all at ambient temperature."""
         return Thermal(torque_constant)
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames that the node receives in every tick."""
+        """Return the identifiers of the frames for the node in every tick."""
         return (self.node_id,)
 
     def _update_derived(self) -> None:
-        """Update the values that depend on registers."""
+        """Update the attributes that are derived from registers."""
         self.node_id = int(self.registers[reg.ESC_ID])
         self.reply_id = int(self.registers[reg.MST_ID])
         self._mode_ids = {self.node_id + offset for offset in (0x100, 0x200, 0x300)}
@@ -156,15 +163,15 @@ class MitNode:
         self.timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
         mode = int(self.registers[reg.CTRL_MODE])
         if mode != self.mode:
-            # A setpoint of another mode ends with the mode.
+            # A setpoint is valid only in the mode for which it was sent.
             self._release()
         self.mode = mode
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Answer a frame in the frame's format.
+        """Process a frame, and answer in the same frame format.
 
         Returns:
-            The answers, None if the frame is not for this motor.
+            The answers, None if the frame is not for the motor.
         """
         can_id, data, flags, bus, _ = frame
         if can_id == self.node_id:
@@ -180,7 +187,7 @@ class MitNode:
             answer = self._register(data)
         elif can_id in self._mode_ids:
             self.wake(t_ns)
-            # Some clients send FD and FE to a mode's identifier.
+            # Some hosts send the special commands FD and FE to the identifier of a motion mode.
             is_special = data[:7] == _SPECIAL and len(data) == 8
             answer = self._special(data, t_ns) if is_special else self._motion(can_id - self.node_id >> 8, data, t_ns)
         else:
@@ -193,11 +200,11 @@ class MitNode:
         return [Frame(self.reply_id, answer, flags, bus, t_ns)]
 
     def _command(self, data: bytes, t_ns: int) -> bytes | None:
-        """Answer a frame to ESC_ID, None if it is malformed."""
+        """Process a frame to ESC_ID and return the payload of the answer, None if the frame is malformed."""
         if len(data) != 8:
             return None
-        # The last byte first: it differs in most commands, so the comparison of seven bytes is
-        # rarely made.
+        # The last byte is compared first. It differs in most commands, so the comparison of seven
+        # bytes is rarely made.
         if data[7] >= _CLEAR and data[7] != 0xFF and data[:7] == _SPECIAL:
             return self._special(data, t_ns)
         self.watchdog_fed_ns = t_ns
@@ -206,10 +213,10 @@ class MitNode:
         return self.feedback()
 
     def _motion(self, kind: int, data: bytes, t_ns: int) -> bytes | None:
-        """Answer a command of position-velocity (1), velocity (2) or force-position mode (3).
+        """Process a command of the position-velocity (1), velocity (2) or force-position mode (3).
 
         Returns:
-            Feedback, None if the command is malformed.
+            Payload of the feedback, None if the command is malformed.
         """
         layout = _MOTION[kind]
         if len(data) < layout.size:
@@ -233,7 +240,7 @@ class MitNode:
         return self.feedback()
 
     def _special(self, data: bytes, t_ns: int) -> bytes | None:
-        """Execute a special command, None if it is malformed."""
+        """Execute a special command and return the payload of the answer, None if the command is malformed."""
         if len(data) != 8 or data[:7] != _SPECIAL:
             return None
         self.watchdog_fed_ns = t_ns
@@ -255,7 +262,7 @@ class MitNode:
         return self.feedback()
 
     def _release(self) -> None:
-        """Let the motor coast until the next command."""
+        """Let the motor turn freely until the next command."""
         self._motion_modes.end()
         self.motor.servo.release()
 
@@ -274,18 +281,21 @@ class MitNode:
             self.state = FeedbackState.DISABLED
 
     def trip(self, state: FeedbackState) -> None:
-        """Enter an error state. Torque returns after the error is cleared and the motor enabled."""
+        """Enter an error state.
+
+        Torque returns only after the error has been cleared and the motor enabled.
+        """
         self._release()
         self.state = state
 
     def feedback(self) -> bytes:
-        """Return the present feedback."""
+        """Return the payload of the present feedback."""
         motor = self.motor
         thermal = self.thermal
         return WORD.pack(feedback_word(self, motor, motor.encoder(), thermal.mosfet, thermal.winding))
 
     def _register(self, data: bytes) -> bytes | None:
-        """Answer a register request, None if it is malformed."""
+        """Execute a register request and return the payload of the reply, None if the request is malformed."""
         operation = data[2]
         register = data[3]
         if operation == _REFRESH:
@@ -305,7 +315,7 @@ class MitNode:
         return head + data[3:4] + self.registers.read(register)
 
     def _measure(self) -> None:
-        """Update the registers with measurements."""
+        """Update the registers that hold measured values."""
         position = self.direction * self.motor.encoder() + self.offset
         self.registers.show(reg.MOTOR_POSITION, position)
         self.registers.show(reg.OUTPUT_POSITION, position)
@@ -313,14 +323,14 @@ class MitNode:
         self.registers.show(reg.T_MOTOR, self.thermal.winding)
 
     def power_cycle(self) -> None:
-        """Restore the saved registers and start disabled."""
+        """Restart the motor, disabled and with the saved registers."""
         self.registers.power_cycle()
         self._release()
         self.state = FeedbackState.DISABLED
         self._update_derived()
 
     def lose_settings(self, torque_max: float) -> None:
-        """Restore the saved registers without a change of state.
+        """Restore the saved registers, but keep the state of the motor.
 
         Args:
             torque_max: new value of TMAX [N m], 0 for the saved value.
@@ -331,7 +341,7 @@ class MitNode:
         self._update_derived()
 
     def wake(self, t_ns: int) -> None:
-        """Check the watchdog and update the temperatures."""
+        """Do the work that is due: temperatures, watchdog and motion mode."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_thermal(t_ns)
         watched = (FeedbackState.ENABLED, *[FeedbackState.DISABLED] * (self._watchdog == ALWAYS))
@@ -342,12 +352,15 @@ class MitNode:
         self._schedule()
 
     def _schedule(self) -> None:
-        """Schedule the next wake. Compiled code never handles a drive in a motion mode."""
+        """Schedule the next wake of the motor, also for its motion mode.
+
+        Compiled code does not handle motion modes.
+        """
         schedule(self)
         self.wake_ns = min(self.wake_ns, self._motion_modes.due_ns)
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Integrate the temperatures and trip on over-temperature."""
+        """Advance the temperatures, and trip on over-temperature of the winding."""
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
@@ -357,12 +370,12 @@ class MitNode:
 
 
 class MitNodeRow(MitStruct, MitNode):
-    """A node whose numbers are a row of an array."""
+    """A node whose numbers are kept in a row of an array, for compiled kernels."""
 
     layout = MitStruct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Initialize the row. See ``MitNode``."""
+        """Initialize the row of the node. See ``MitNode``."""
         MitNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number
 

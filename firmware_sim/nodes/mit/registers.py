@@ -1,4 +1,7 @@
-"""Registers of a Damiao motor: uint32 or float32, in RAM with a copy in flash. Source: facts, mit_damiao."""
+"""Registers of a Damiao motor: numbers (uint32 or float32) in RAM, with a copy in flash.
+
+Source: fact sheet mit_damiao.
+"""
 
 import math
 import struct
@@ -14,48 +17,51 @@ OVER_CURRENT = 3
 ACCELERATION = 4
 """Register: acceleration of the ramps in position-velocity and velocity mode [rad/s2], 0 for no ramp."""
 DECELERATION = 5
-"""Register: deceleration of these ramps, negative [rad/s2], 0 for no ramp."""
+"""Register: deceleration of the ramps in these modes, a negative number [rad/s2], 0 for no ramp."""
 MAX_SPEED = 6
-"""Register: largest speed in all modes but MIT [rad/s]."""
+"""Register: largest speed in all modes except MIT mode [rad/s]."""
 MST_ID = 7
-"""Register: identifier of answers."""
+"""Register: identifier of the motor's answers."""
 ESC_ID = 8
-"""Register: identifier of commands."""
+"""Register: identifier of commands to the motor."""
 TIMEOUT = 9
-"""Register: watchdog timeout in units of 50 us, 0 for off."""
+"""Register: timeout of the watchdog in units of 50 us, 0 to switch the watchdog off."""
 CTRL_MODE = 10
 """Register: control mode."""
 PMAX = 21
-"""Register: position range [rad]."""
+"""Register: largest position in frames [rad]."""
 VMAX = 22
-"""Register: velocity range [rad/s]."""
+"""Register: largest velocity in frames [rad/s]."""
 TMAX = 23
-"""Register: torque range [N m]."""
+"""Register: largest torque in frames [N m]."""
 VBUS = 60
-"""Register: supply voltage [V]."""
+"""Register: measured supply voltage [V]."""
 T_BOARD = 61
-"""Register: temperature of the MOSFETs [degC]."""
+"""Register: measured temperature of the MOSFETs [degC]."""
 T_MOTOR = 62
-"""Register: temperature of the winding [degC]."""
+"""Register: measured temperature of the winding [degC]."""
 MOTOR_POSITION = 80
-"""Register: motor position [rad]."""
+"""Register: measured angle of the motor [rad]."""
 OUTPUT_POSITION = 81
-"""Register: output position [rad]."""
+"""Register: measured angle of the output shaft [rad]."""
 
 _UINT_REGISTERS = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
-"""Registers of type uint32. All others are float32."""
+"""Registers of type uint32. All other registers are float32."""
 _READ_ONLY_REGISTERS = {11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 36, *range(50, 56), 60, 61, 62, 80, 81}
 _POSITIVE_REGISTERS = {KT, OVER_TEMPERATURE, ACCELERATION, MAX_SPEED, PMAX, VMAX, TMAX}
-"""Registers that accept only positive values."""
+"""Registers to which only positive values can be written."""
 MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
-"""Values of CTRL_MODE: MIT, position-velocity, velocity, force-position."""
+"""Values of the register CTRL_MODE: MIT, position-velocity, velocity and force-position mode."""
 
 
 class Registers:
-    """The register file of one motor. A write acts at once and is lost at power-off unless saved."""
+    """The registers of one motor.
+
+    A written value acts at once, but is lost at power-off unless saved.
+    """
 
     def __init__(self, spec: MotorSpec) -> None:
-        """Initialize the registers as in a commissioned motor. The watchdog (TIMEOUT) is off."""
+        """Initialize the registers as in a commissioned motor with the watchdog (register TIMEOUT) off."""
         self._values: dict[int, float] = _factory(spec)
         self._flash = self._values.copy()
 
@@ -68,38 +74,41 @@ class Registers:
         return self._values[register]
 
     def show(self, register: int, value: float) -> None:
-        """Set a register from inside the drive, as for a measurement."""
+        """Set a register from inside the drive, for example to a measured value."""
         self._values[register] = value
 
     def read(self, register: int) -> bytes:
-        """Return the four bytes of a register."""
+        """Return the value of a register as four bytes."""
         value = self._values[register]
         return struct.pack("<I", int(value)) if register in _UINT_REGISTERS else struct.pack("<f", value)
 
     def write(self, register: int, raw: bytes) -> None:
-        """Write four bytes from the wire. Read-only registers and impossible values are ignored."""
+        """Write the four bytes of a received frame to a register.
+
+        Read-only registers and impossible values are ignored.
+        """
         value = float(struct.unpack("<I" if register in _UINT_REGISTERS else "<f", raw)[0])
         if register not in _READ_ONLY_REGISTERS and _possible(register, value):
             self._values[register] = value
 
     def save(self) -> None:
-        """Copy RAM to flash."""
+        """Copy the registers from RAM to flash."""
         self._flash = self._values.copy()
 
     def power_cycle(self) -> None:
-        """Restore the saved values."""
+        """Restore the saved values of all registers."""
         self._values = self._flash.copy()
 
 
 def _possible(register: int, value: float) -> bool:
-    """Check a value before it is written."""
+    """Check whether a value may be written to a register."""
     if register == CTRL_MODE:
         return MODE_MIT <= value <= MODE_FORCE
     if register in (MST_ID, ESC_ID):
         return 0 <= value < 0x7FF
     if register == DECELERATION:
         return -math.inf < value < 0.0
-    # Register 35 is the code of the bit rate.
+    # Register 35 holds the code of the bit rate.
     if register == 35:
         return value <= 11
     return math.isfinite(value) and (value > 0 or register not in _POSITIVE_REGISTERS)
@@ -107,7 +116,7 @@ def _possible(register: int, value: float) -> bool:
 
 def _factory(spec: MotorSpec) -> dict[int, float]:
     """Return the register values of a commissioned motor."""
-    # ASCII "SIM" and the node number.
+    # The default serial number is the ASCII text "SIM" and the node number.
     serial = 0x5349_4D00 + spec.node_id if spec.serial is None else spec.serial
     values: dict[int, float] = dict.fromkeys((*range(24, 29), *range(31, 35), *range(50, 56), 4, 5, 18, 19), 0.0)
     values[MAX_SPEED] = spec.velocity_range

@@ -1,29 +1,32 @@
-"""Subframes of moteus' register protocol, as the drive reads and writes them. Source: facts, moteus.
+"""Subframes of the register protocol of moteus, from the side of the drive.
+
+Source: docs/facts/moteus.md.
 
     0x00..0x0F write    count, first register, values        0x30  write error: register, error
     0x10..0x1F read     count, first register                0x31  read error: register, error
     0x20..0x2F reply    count, first register, values        0x50  no operation
     0x40 text in, 0x41 text out: channel, length, text       0x42  poll for text: channel, longest length
 
-Bits 3 and 2 of a register subframe are the type: int8, int16, int32, float32. Bits 1 and 0 are the
-count, or 0 if the count follows as a varuint. Numbers are little-endian.
+Bits 3 and 2 of a register subframe give the type of the values: int8, int16, int32 or float32. Bits
+1 and 0 give the count of values, or are 0 if the count follows as a varuint. Numbers are
+little-endian.
 """
 
 import math
 import struct
 
 INT8, INT16, INT32, FLOAT = range(4)
-"""Types of values."""
+"""Numbers of the types of register values."""
 STRUCTS = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
-"""Encoding of a value of each type."""
+"""Encoding of a register value, by type."""
 MAX_COUNTS = (127, 32767, 2147483647)
-"""Largest count of each integer type. The most negative count means NaN."""
+"""Largest integer of each integer type. The most negative integer means NaN."""
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-"""Payload lengths of CAN FD [bytes]."""
+"""Payload lengths in CAN FD [bytes]."""
 PADDING = b"\x50"
-"""No operation, which fills a payload up to a length of CAN FD."""
+"""Subframe *no operation*, which fills a payload up to a length of CAN FD."""
 
-# Value of one count as int8, int16 and int32, by the kind of quantity.
+# Value of one integer step as int8, int16 and int32, for each kind of quantity.
 PLAIN = (1.0, 1.0, 1.0)
 POSITION = (0.01, 0.0001, 0.00001)
 VELOCITY = (0.1, 0.00025, 0.00001)
@@ -38,11 +41,11 @@ FRACTION = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
 
 
 class Malformed(Exception):  # noqa: N818 - never leaves the node
-    """A payload ends within a subframe, or has an unknown subframe."""
+    """An error: a payload ends within a subframe, or has an unknown subframe."""
 
 
 class Reader:
-    """Cursor over a payload."""
+    """Reader of a payload, from the first byte to the last byte."""
 
     def __init__(self, data: bytes) -> None:
         """Start at the first byte of a payload."""
@@ -51,14 +54,14 @@ class Reader:
 
     @property
     def more(self) -> bool:
-        """Return True before the end of the payload."""
+        """Return True if bytes of the payload are left."""
         return self._at < len(self._data)
 
     def take(self, length: int) -> bytes:
-        """Return the next bytes.
+        """Return the next bytes of the payload.
 
         Raises:
-            Malformed: fewer bytes are left.
+            Malformed: the payload has fewer bytes left.
         """
         part = self._data[self._at : self._at + length]
         if len(part) != length:
@@ -67,10 +70,10 @@ class Reader:
         return part
 
     def varuint(self) -> int:
-        """Return the next varuint, of at most five bytes.
+        """Return the next number of the payload, a varuint of at most five bytes.
 
         Raises:
-            Malformed: the payload ends, or the number is longer.
+            Malformed: the payload ends within the number, or the number has more than five bytes.
         """
         value = 0
         for i in range(5):
@@ -82,14 +85,14 @@ class Reader:
 
 
 def varuint(value: int) -> bytes:
-    """Return the bytes of a varuint."""
+    """Return a number as the bytes of a varuint."""
     if value < 128:
         return bytes([value])
     return bytes([128 | value & 127]) + varuint(value >> 7)
 
 
 def decode(raw: bytes, kind: int, steps: tuple[float, float, float]) -> float:
-    """Return the value of a register's bytes. The most negative integer means NaN."""
+    """Decode the bytes of a register value. The most negative integer means NaN."""
     (number,) = STRUCTS[kind].unpack(raw)
     if kind == FLOAT:
         return float(number)
@@ -97,23 +100,24 @@ def decode(raw: bytes, kind: int, steps: tuple[float, float, float]) -> float:
 
 
 def encode(value: float, kind: int, steps: tuple[float, float, float]) -> bytes:
-    """Return the bytes of a value, limited to the range of the type and truncated towards 0."""
+    """Encode a register value, limited to the range of its type and truncated towards 0."""
     if kind == FLOAT:
         return STRUCTS[FLOAT].pack(value)
     if not math.isfinite(value):
         return STRUCTS[kind].pack(-MAX_COUNTS[kind] - 1)
-    # A step of 1e-5 and 0.00003 give 2.9999999999999996 counts: the drive's float32 gives 3.
+    # The quotient is rounded to float32 as in the drive. In float64, 0.00003 / 1e-5 would be just
+    # below 3.
     count = struct.unpack("<f", struct.pack("<f", value / steps[kind]))[0]
     return STRUCTS[kind].pack(int(max(-MAX_COUNTS[kind], min(MAX_COUNTS[kind], count))))
 
 
 def head(base: int, kind: int, count: int, first: int) -> bytes:
-    """Return the head of a register subframe."""
+    """Return the first bytes of a register subframe, in front of the values."""
     subframe = base | kind << 2
     start = bytes([subframe | count]) if 0 < count < 4 else bytes([subframe]) + varuint(count)
     return start + varuint(first)
 
 
 def padded(data: bytes) -> bytes:
-    """Return a payload with a length of CAN FD."""
+    """Return a payload, filled up to the next length of CAN FD."""
     return data + PADDING * (min(length for length in FD_LENGTHS if length >= len(data)) - len(data))

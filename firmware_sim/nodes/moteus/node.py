@@ -1,16 +1,18 @@
-"""A motor with a moteus controller. Source: facts, moteus.
+"""A motor with a moteus controller. Source: docs/facts/moteus.md.
 
-A frame is executed subframe by subframe. Written registers take effect at the end of the frame if
-the frame has written the mode. The reply is built before this, and therefore has the mode of the
-previous frame. An unknown subframe ends the execution of a frame.
+The drive executes a frame subframe by subframe. If the frame writes the mode, all written registers
+take effect at the end of the frame. The reply is built before, and therefore has the mode that the
+drive had before the frame. An unknown subframe ends the execution of its frame.
 
-Choices where the fact sheet has an "assumption":
+Choices where the fact sheet has only an assumption:
 
-- Preparation of the power stage takes 10 ms, in modes 2, 3 and 4.
-- The drive is calibrated, with the gains of ``text.FACTORY_CONFIGURATION``. The integrator is not simulated.
-- Trajectory limits, stop position, fixed current and the voltage modes are not simulated: a command
-  with one of these modes is refused like a value that does not exist.
-- Beyond a position limit the drive makes no torque in the direction of the limit.
+- The preparation of the power stage (modes 2, 3 and 4) takes 10 ms.
+- The drive is calibrated and has the gains of ``text.FACTORY_CONFIGURATION``. Its integrator is not
+  simulated.
+- Trajectory limits, stop position, fixed current and the voltage modes are not simulated. A command
+  with one of these modes is refused like an invalid value.
+- Beyond a position limit, the feedforward torque cannot push further in the direction of that
+  limit.
 """
 
 import math
@@ -27,60 +29,60 @@ from firmware_sim.plant.motor import Motor
 STOPPED, FAULT, ENABLING, CALIBRATING, CALIBRATED = range(5)
 POSITION, TIMEOUT, ZERO_VELOCITY, WITHIN = range(10, 14)
 BRAKE = 15
-"""Modes."""
+"""Numbers of the modes, as in the mode register."""
 COMMANDABLE = {STOPPED, POSITION, ZERO_VELOCITY, WITHIN, BRAKE}
-"""Modes that a host may write here."""
+"""Modes available to hosts in this simulation."""
 LAST_MODE = 16
-"""Largest mode number."""
+"""Largest number of a mode."""
 OVER_TEMPERATURE = 38
-"""Fault code."""
+"""Fault code: the motor or the drive is too hot."""
 OUTSIDE_LIMIT = 39
-"""Fault code."""
+"""Fault code: the position is outside its limits at the start of position mode."""
 UNDER_VOLTAGE = 40
-"""Fault code."""
+"""Fault code: the supply voltage is too low."""
 MAX_TORQUE_LIMITS = 102
-"""Fault code in position mode: the commanded torque limit acts."""
+"""Fault code in an active mode: the commanded torque limit acts."""
 BROADCAST = 0x7F
-"""Destination of frames to all drives."""
+"""Destination number of frames to all drives."""
 ENABLING_NS = 10_000_000
-"""Duration of the preparation of the power stage [ns], an assumption."""
+"""Duration of the preparation of the power stage [ns]. An assumption."""
 THERMAL_PERIOD_NS = 100_000_000
-"""Period of the thermal update [ns]."""
+"""Period of the update of the temperatures [ns]."""
 BRAKE_DAMPING = 0.05
-"""Damping of a motor with shorted phases [N m s/rad], an assumption."""
+"""Damping of a motor whose phases are shorted (mode brake) [N m s/rad]. An assumption."""
 SERIAL = 0x6D6F7465_75730000_00000000
-"""Serial number of node 0."""
+"""Serial number of node 0. Other nodes add their node number."""
 FIRMWARE_VERSION = 0x00010001
-"""Version 1.0.1, one byte a number."""
+"""Firmware version 1.0.1, with one byte for each of the three numbers."""
 TURN = 2.0 * math.pi
-"""Radians per turn [rad]."""
+"""A full turn [rad]."""
 INTEGERS = frozenset((0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x150, 0x151, 0x152, 0x153, 0x158))
 """Registers that can only be read as int32."""
 
 
 class MoteusNode:
-    """One controller.
+    """A simulated moteus controller.
 
     Attributes:
-        mode: present mode.
-        fault: fault code, also of a limit in effect.
-        command: registers of the present command.
-        channel: text channel with the configuration.
-        thermal: temperatures.
-        offset: angle on the wire at theta = 0 [rad].
+        mode: present mode of the controller.
+        fault: present fault code, or the code of a limit that acts.
+        command: values of the command registers.
+        channel: text channel, which holds the configuration.
+        thermal: temperatures of motor and drive.
+        offset: angle in frames at the spool angle theta = 0 [rad].
         ids: None, because the node answers many identifiers.
-        malformed: frames that the node could not decode.
-        wake_ns: time of the next wake [ns].
+        malformed: number of frames the node could not decode.
+        wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last command [ns].
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set up the node after power-up.
+        """Set up the node in the state after power-up.
 
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle on the wire at theta = 0 [rad].
+            offset: angle in frames at the spool angle theta = 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -105,7 +107,7 @@ class MoteusNode:
         self._t_ns = 0
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Execute a frame.
+        """Execute and answer a frame.
 
         Returns:
             The answers, None if the frame is not for this controller.
@@ -123,7 +125,10 @@ class MoteusNode:
         return [self._reply(reply, number >> 8 & 0x7F, frame)]
 
     def _reply(self, data: bytes, host: int, frame: Frame) -> Frame:
-        """Return a reply to a host, in the format of the request if its length allows."""
+        """Return the frame of a reply to a host.
+
+        A reply too long for the format of the request has the format CAN FD.
+        """
         number = self.node_id << 8 | host
         can_id = number | EXTENDED if number >= 0x800 else number
         classical = not frame.flags & FDF and len(data) <= 8
@@ -156,7 +161,7 @@ class MoteusNode:
         """Execute a subframe that writes or reads registers.
 
         Returns:
-            Part of the reply, None if the rest of the frame is for another controller.
+            The bytes to add to the reply, None if the rest of the frame is for another controller.
         """
         kind = subframe >> 2 & 3
         count = subframe & 3 or reader.varuint()
@@ -176,7 +181,10 @@ class MoteusNode:
         return out
 
     def _read_all(self, kind: int, count: int, first: int) -> bytes:
-        """Return the reply to a read of registers. A register without a value ends it with an error."""
+        """Return the reply to a request that reads registers.
+
+        The reply ends with an error at a register without a value.
+        """
         values = list[bytes]()
         error = b""
         for number in range(first, first + min(count, 64)):
@@ -188,7 +196,7 @@ class MoteusNode:
         return (mp.head(0x20, kind, len(values), first) + b"".join(values) if values else b"") + error
 
     def _write(self, number: int, kind: int, raw: bytes) -> int:
-        """Write a register and return an error number, 0 without an error."""
+        """Write a register and return an error number, 0 for no error."""
         number = reg.SHADOWS.get(number, number)
         if number == reg.MODE:
             mode = mp.decode(raw, kind, mp.PLAIN)
@@ -209,13 +217,13 @@ class MoteusNode:
         return 0
 
     def _set_position(self, turns: float, nearest: bool) -> None:
-        """Shift the reported position to a value, or by whole turns to the nearest value."""
+        """Shift the reported position to a value, or by whole turns as near as possible to the value."""
         if math.isfinite(turns):
             shift = turns - self._position
             self.offset += TURN * (round(shift) if nearest else shift)
 
     def _read(self, number: int, kind: int) -> bytes | None:
-        """Return the bytes of a register, None for an unknown register or a wrong type."""
+        """Return the bytes of a register, None if the register is unknown or cannot have the type."""
         number = reg.SHADOWS.get(number, number)
         if number in INTEGERS:
             return struct.pack("<I", self._integer(number)) if kind == mp.INT32 else None
@@ -227,26 +235,27 @@ class MoteusNode:
         return None if steps is None else mp.encode(self._measured(number), kind, steps)
 
     def _integer(self, number: int) -> int:
-        """Return a register of 32 bits."""
+        """Return the value of a register that exists only as int32."""
         if 0x120 <= number <= 0x122:
             return self._serial >> 32 * (number - 0x120) & 0xFFFFFFFF
         if reg.UUID <= number < reg.UUID + 4:
             return self._uuid(number - reg.UUID)
-        # Model number, firmware, register map version, capability of the UUID mask.
+        # These registers are model number, firmware version, version of the register map, node
+        # number and support of the UUID mask.
         fixed = {0x100: 3, 0x101: FIRMWARE_VERSION, 0x102: 6, reg.MULTIPLEX_ID: self.node_id, 0x158: 1}
         return fixed[number]
 
     def _uuid(self, part: int) -> int:
-        """Return 32 of the 128 bits of the UUID."""
+        """Return 32 of the 128 bits of the drive's UUID."""
         return (self._serial << 32 | 0x5AFE) >> 32 * part & 0xFFFFFFFF
 
     @property
     def _position(self) -> float:
-        """Return the position on the wire [turn]."""
+        """Return the position as frames report it [turn]."""
         return (self._direction * self.motor.encoder() + self.offset) / TURN
 
     def _measured(self, number: int) -> float:
-        """Return a measured value."""
+        """Return the measured value of a register."""
         motor = self.motor
         sign = self._direction
         torque = sign * motor.torque
@@ -262,7 +271,10 @@ class MoteusNode:
         return values.get(number, 0.0)
 
     def _text(self, kind: int, reader: mp.Reader) -> bytes:
-        """Execute a subframe of the text channel and return the part of the answers that fits."""
+        """Execute a subframe of the text channel.
+
+        Return as much of the channel's answers as fits into the reply.
+        """
         channel = reader.varuint()
         length = reader.varuint()
         data = reader.take(length) if kind == 0x40 else b""
@@ -273,7 +285,7 @@ class MoteusNode:
         return b"\x41" + mp.varuint(channel) + mp.varuint(len(part)) + part
 
     def _apply(self, mode: int, t_ns: int) -> None:
-        """Execute a command. Fault and timeout are left by the stop command only."""
+        """Execute the commanded mode. Only a stop command ends the modes fault and timeout."""
         if mode == STOPPED:
             self._stop()
             return
@@ -290,18 +302,18 @@ class MoteusNode:
         self._schedule()
 
     def _stop(self) -> None:
-        """Switch the power stage off and clear a fault."""
+        """Switch the power stage off and clear the fault, if any."""
         self.motor.servo.release()
         self.mode = STOPPED
         self.fault = 0
         self._schedule()
 
     def _item(self, name: str) -> float:
-        """Return a configuration item."""
+        """Return the present value of a configuration item."""
         return self.channel.items[name]
 
     def _follow(self) -> None:
-        """Set the servo for the present command."""
+        """Set the servo as the present mode and command registers demand."""
         command = self.command
         kp = self._item("servo.pid_position.kp") / TURN
         kd = self._item("servo.pid_position.kd") / TURN
@@ -327,7 +339,7 @@ class MoteusNode:
             self._servo(kp, kd, position, velocity, command[reg.FEEDFORWARD], limit)
 
     def _violated_bound(self) -> float | None:
-        """Return the bound of "stay within" that the position violates [turn], None if no bound is violated."""
+        """Return the bound of the mode *stay within* that the position violates [turn], None if none is violated."""
         lower = self.command[reg.LOWER_BOUND]
         upper = self.command[reg.UPPER_BOUND]
         if self._position < lower:
@@ -335,7 +347,10 @@ class MoteusNode:
         return upper if self._position > upper else None
 
     def _servo(self, kp: float, kd: float, position: float, velocity: float, torque: float, limit: float) -> None:
-        """Set gains and setpoints in units of the wire: turn, turn/s, N m. A limit of NaN is the peak torque."""
+        """Set gains and setpoints of the servo from values in turn, turn/s and N m.
+
+        A limit of NaN is the peak torque.
+        """
         servo = self.motor.servo
         sign = self._direction
         peak = min(self._peak, self._item("servo.max_current_A") * self._torque_constant)
@@ -355,32 +370,35 @@ class MoteusNode:
         servo.limit = largest
 
     def trip(self, fault: int) -> None:
-        """Enter the fault mode with a code. Timeout is a separate mode without a code."""
+        """Enter the mode fault with a code.
+
+        The code TIMEOUT enters the mode timeout, without a fault code.
+        """
         self.motor.servo.release()
         self.mode = TIMEOUT if fault == TIMEOUT else FAULT
         self.fault = 0 if fault == TIMEOUT else fault
         self._schedule()
 
     def power_cycle(self) -> None:
-        """Restart stopped, with the stored configuration."""
+        """Restart in the mode stopped, with the stored configuration."""
         self._stop()
         self.command = dict(reg.DEFAULTS)
         self.channel.forget()
 
     def lose_settings(self) -> None:
-        """Restore the stored configuration without a change of mode."""
+        """Restore the stored configuration, but keep the mode."""
         self.channel.forget()
 
     @property
     def _timeout_ns(self) -> int:
-        """Return the time without a command until the watchdog fires [ns], 0 if it is off."""
+        """Return the time without a command after which the watchdog fires [ns], 0 if the watchdog is off."""
         seconds = self.command[reg.TIMEOUT]
         if seconds == 0.0:
             seconds = self._item("servo.default_timeout_s")
         return int(seconds * 1e9) if 0.0 < seconds < 1e6 else 0
 
     def _schedule(self) -> None:
-        """Set the time of the next wake."""
+        """Set the time of the next call of ``wake``."""
         due = [self._thermal_ns + THERMAL_PERIOD_NS]
         if self.mode in (ENABLING, CALIBRATING, CALIBRATED):
             due.append(self._enabling_ns + ENABLING_NS)
@@ -389,7 +407,7 @@ class MoteusNode:
         self.wake_ns = min(due)
 
     def wake(self, t_ns: int) -> None:
-        """Finish the preparation, and check watchdog and temperatures."""
+        """Do the work that is due: end of the preparation, watchdog and temperatures."""
         self._t_ns = t_ns
         if self.mode == ENABLING and t_ns - self._enabling_ns >= ENABLING_NS:
             self._start()
@@ -401,7 +419,10 @@ class MoteusNode:
         self._schedule()
 
     def _start(self) -> None:
-        """Enter the commanded mode, unless the position is outside its limits."""
+        """Enter the commanded mode after the preparation.
+
+        In position mode, a position outside its limits is a fault.
+        """
         position = self._position
         outside = position < self._item("servopos.position_min") or position > self._item("servopos.position_max")
         if self._next_mode == POSITION and outside and not self.command[reg.IGNORE_BOUNDS]:
@@ -411,7 +432,7 @@ class MoteusNode:
         self._follow()
 
     def _time_out(self) -> None:
-        """Enter the timeout mode, whose effect is an item of the configuration."""
+        """Enter the mode timeout. An item of the configuration selects the effect of this mode."""
         effect = int(self._item("servo.timeout_mode"))
         self.mode = effect if effect in (POSITION, ZERO_VELOCITY, BRAKE) else STOPPED
         if self.mode == STOPPED:
@@ -423,7 +444,7 @@ class MoteusNode:
         self.fault = 0
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Integrate the temperatures, and trip on over-temperature."""
+        """Advance the temperatures, and trip on over-temperature of winding or MOSFETs."""
         if self._thermal_ns >= 0:
             self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0

@@ -1,4 +1,7 @@
-"""Registers of a moteus controller: number, quantity, and access. Source: facts, moteus."""
+"""Registers of a moteus controller: their numbers, quantities and access.
+
+Source: docs/facts/moteus.md.
+"""
 
 from collections.abc import Mapping
 
@@ -23,7 +26,7 @@ RECAPTURE = 0x133
 UUID = 0x150
 UUID_MASK = 0x154
 
-# Error numbers of a refused access.
+# Error numbers with which the drive refuses access to a register.
 UNKNOWN = 1
 NOT_WRITEABLE = 2
 INVALID = 3
@@ -36,25 +39,25 @@ MEASURED: Mapping[int, tuple[float, float, float]] = {
     0x038: mp.POSITION, 0x039: mp.VELOCITY, 0x03A: mp.TORQUE, 0x03B: mp.POSITION, 0x03C: mp.VELOCITY, 0x03D: mp.TORQUE,
     0x050: mp.POSITION, 0x051: mp.VELOCITY, 0x070: mp.PLAIN,
 }  # fmt: skip
-"""Registers that can only be read, with their steps."""
+"""Read-only registers with the values of one integer step."""
 COMMANDS: Mapping[int, tuple[float, float, float]] = {
     POSITION: mp.POSITION, VELOCITY: mp.VELOCITY, FEEDFORWARD: mp.TORQUE, KP_SCALE: mp.FRACTION, KD_SCALE: mp.FRACTION,
     MAX_TORQUE: mp.TORQUE, 0x026: mp.POSITION, TIMEOUT: mp.TIME, 0x028: mp.VELOCITY, 0x029: mp.ACCELERATION,
     0x02A: mp.VOLTAGE, INTEGRATOR_SCALE: mp.FRACTION, 0x02C: mp.CURRENT, IGNORE_BOUNDS: mp.PLAIN,
     LOWER_BOUND: mp.POSITION, UPPER_BOUND: mp.POSITION, 0x01C: mp.CURRENT, 0x01D: mp.CURRENT,
 }  # fmt: skip
-"""Registers of a command, with their steps.
+"""Registers of a command with the values of one integer step.
 
-The values of these registers last until the next write of the mode.
+A write of the mode resets these registers to ``DEFAULTS``.
 """
 SHADOWS = {
     0x042: FEEDFORWARD, 0x043: KP_SCALE, 0x044: KD_SCALE, 0x045: MAX_TORQUE, 0x046: TIMEOUT, 0x047: INTEGRATOR_SCALE,
     0x048: IGNORE_BOUNDS,
 }  # fmt: skip
-"""Second numbers of command registers, for the mode "stay within"."""
+"""Second register numbers of command registers, for the mode *stay within*."""
 NAN = float("nan")
 DEFAULTS: Mapping[int, float] = {
     **dict.fromkeys(COMMANDS, 0.0), KP_SCALE: 1.0, KD_SCALE: 1.0, INTEGRATOR_SCALE: 1.0, MAX_TORQUE: NAN, 0x026: NAN,
     0x028: NAN, 0x029: NAN, 0x02A: NAN, 0x02C: NAN, LOWER_BOUND: NAN, UPPER_BOUND: NAN,
 }  # fmt: skip
-"""Command registers after a write of the mode."""
+"""Values of the command registers after a write of the mode."""

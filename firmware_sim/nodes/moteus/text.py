@@ -1,6 +1,8 @@
-"""Diagnostic text channel of a moteus controller: commands in lines, answers in lines. Source: facts, moteus.
+"""The diagnostic text channel of a moteus controller.
 
-Configuration items are in the working memory until ``conf write`` stores them.
+Commands and answers are lines of text. Source: docs/facts/moteus.md.
+
+A changed configuration item is only in the working memory until ``conf write`` stores it.
 """
 
 import math
@@ -21,27 +23,27 @@ FACTORY_CONFIGURATION: dict[str, float] = {
     "servopos.position_max": 0.01,
     "motor_position.rotor_to_output_ratio": 1.0,
 }
-"""Configuration items of a drive as delivered, calibrated. Other items do not exist in the simulation."""
+"""Configuration items of a calibrated drive as delivered. The simulation has no other items."""
 INTEGER_ITEMS = {"servo.timeout_mode", "servo.fixed_voltage_mode"}
-"""Items with integers."""
+"""Configuration items whose values are integers."""
 LONGEST_LINE = 256
 """Size of the drive's line buffer [bytes]. A longer line is dropped."""
 
 
 class TextChannel:
-    """The text channel.
+    """The text channel of one controller.
 
     Attributes:
-        items: configuration in the working memory.
-        saved: stored configuration.
-        out: answers that the host has not read.
+        items: configuration items in the working memory.
+        saved: configuration items in the permanent memory.
+        out: text of the answers that the host has not read yet.
     """
 
     def __init__(self, stop: Callable[[], None]) -> None:
         """Start with the factory configuration.
 
         Args:
-            stop: stops the motor, for ``d stop``.
+            stop: function that stops the motor, for the command ``d stop``.
         """
         self.items = dict(FACTORY_CONFIGURATION)
         self.saved = dict(FACTORY_CONFIGURATION)
@@ -50,7 +52,7 @@ class TextChannel:
         self._line = b""
 
     def write(self, data: bytes) -> None:
-        """Execute the complete lines of a text."""
+        """Execute the complete lines of a text, and keep an incomplete last line."""
         *lines, self._line = (self._line + data).replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             if line:
@@ -59,18 +61,18 @@ class TextChannel:
             self._line = b""
 
     def read(self, longest: int) -> bytes:
-        """Return at most `longest` bytes of the answers, and remove these bytes."""
+        """Take at most ``longest`` bytes from the unread answers."""
         part = self.out[:longest]
         self.out = self.out[longest:]
         return part
 
     def forget(self) -> None:
-        """Load the stored configuration, as after a restart."""
+        """Load the stored configuration and empty the channel, as after a restart."""
         self.items = dict(self.saved)
         self.out = self._line = b""
 
     def _execute(self, words: list[str]) -> str:
-        """Execute a command and return its answer without the end of line."""
+        """Execute a command line and return the answer without its line end."""
         match words:
             case ["conf", "get", name]:
                 return self._shown(name) if name in self.items else "ERR error reading"
@@ -91,12 +93,12 @@ class TextChannel:
         return "OK"
 
     def _shown(self, name: str) -> str:
-        """Return an item as the drive prints it."""
+        """Return the value of a configuration item as the drive prints it."""
         value = self.items[name]
         return f"{int(value)}" if name in INTEGER_ITEMS else f"{value:f}"
 
     def _set(self, name: str, text: str) -> str:
-        """Set an item and return the answer."""
+        """Set a configuration item and return the answer to the host."""
         try:
             value = float(text)
         except ValueError:

@@ -1,4 +1,4 @@
-"""ODrives as delivered. The free shaft and the endpoint numbers are assumptions."""
+"""ODrives as delivered. The data of the free shaft and the endpoint numbers are assumptions."""
 
 import struct
 from typing import Any
@@ -9,13 +9,19 @@ from firmware_sim.nodes.protocol_spec import ODRIVE, UNADDRESSED, ProtocolSpec, 
 
 ENDPOINTS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202, "endpoint_torque_max": 203,
              "endpoint_torque_min": 204}  # fmt: skip
-"""Endpoint numbers of an ODrive's settings, assumed here. Real numbers differ between firmware versions."""
+"""Assumed endpoint numbers of an ODrive's settings.
+
+The real numbers differ between firmware versions.
+"""
 TORQUE_CONSTANT = 0.05
-"""Torque constant [N m/A], an assumption."""
+"""Torque constant of the motor [N m/A]. An assumption."""
 TOP_SPEED = 24.0 / TORQUE_CONSTANT
-"""No-load speed [rad/s] at 24 V: torque constant and voltage constant are equal in SI units."""
+"""Speed of the motor without load at 24 V [rad/s].
+
+In SI units, voltage constant and torque constant are equal.
+"""
 FIRMWARES: dict[str, dict[str, Any]] = {"0.6": dict(ENDPOINTS), "0.5": {"firmware": "0.5"}}
-"""Options of the hand file for each firmware version."""
+"""Options that a hand file needs for each firmware version."""
 
 
 def shaft(firmware: str) -> Shaft:
@@ -25,25 +31,25 @@ def shaft(firmware: str) -> Shaft:
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
-    """Return Clear_Errors, which has no effect on a drive without errors."""
+    """Return the command Clear_Errors, which has no effect on a drive without errors."""
     return node_id << 5 | 0x18, b""
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace Estop and Set_Axis_State(IDLE) by a frame for no node."""
+    """Replace the commands Estop and Set_Axis_State(IDLE) by a frame for no node."""
     command = frame.can_id & 0x1F
     releases = command == 0x02 or (command == 0x07 and frame.data[:1] == b"\1")
     return UNADDRESSED if releases else frame
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
-    """Replace the value of an endpoint by 1 in a read-back."""
+    """Replace the value of an endpoint by 1 in the reply to a read request."""
     matches = frame.can_id & 0x1F == 0x05 and len(frame.data) == 8
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
 
 
 def _force_command(node: OdriveNode, frame: Frame) -> None:
-    """Follow Set_Input_Torque in any state."""
+    """Follow the command Set_Input_Torque in any state of the drive."""
     if frame.can_id == node.node_id << 5 | 0x0E and len(frame.data) >= 4:
         servo = node.motor.servo
         servo.limit = node.peak
@@ -54,4 +60,4 @@ SPEC = ProtocolSpec(
     OdriveNode, range(0x3F), shaft("0.6"), _host_frame, _corrupt_command, _corrupt_reply, OdriveNodeRow, ODRIVE,
     _force_command,
 )  # fmt: skip
-"""The ODrive protocol."""
+"""Specification of the ODrive protocol for simulated drives."""

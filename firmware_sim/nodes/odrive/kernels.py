@@ -1,4 +1,7 @@
-"""Kernels for the cyclic messages of an ODrive, on a row or an object. Source: facts, odrive_cansimple."""
+"""Kernels for the cyclic messages of an ODrive, as a row or an object.
+
+Source: fact sheet odrive_cansimple.
+"""
 
 import ctypes
 import math
@@ -7,25 +10,26 @@ from typing import Any
 from firmware_sim.compiled import inner
 
 IDLE = 1
-"""Axis state: idle, without torque."""
+"""Axis state: idle. The motor has no torque."""
 CLOSED_LOOP = 8
 """Axis state: closed-loop control."""
 TORQUE_CONTROL = 1
-"""Control mode: torque."""
+"""Control mode: torque control."""
 PASSTHROUGH = 1
-"""Input mode: setpoint unchanged."""
+"""Input mode: the drive follows the setpoint as received."""
 TORQUE_RAMP = 6
-"""Input mode: torque ramp."""
+"""Input mode: the torque follows the setpoint with a ramp."""
 THERMAL_PERIOD_NS = 100_000_000
-"""Period of the thermal update [ns]."""
+"""Period of the update of the drive's temperatures [ns]."""
 TURN = 2.0 * math.pi
-"""One turn [rad]."""
+"""A full turn [rad]."""
 
 
 class OdriveStruct(ctypes.Structure):
-    """Memory of a ``node.OdriveNode``.
+    """Memory of an axis for compiled kernels. See ``node.OdriveNode`` for the fields.
 
-    ``motor_number`` is the row of its rotor, ``bus`` the index of its bus in the hand.
+    ``motor_number`` is the row of the drive's rotor. ``bus`` is the index of the drive's bus in the
+    hand.
     """
 
     _fields_ = [
@@ -48,13 +52,13 @@ class OdriveStruct(ctypes.Structure):
 
 @inner
 def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
-    """Set a finite torque setpoint [N m at the shaft], and follow it in torque control without a ramp.
+    """Set a torque setpoint [N m at the shaft], and follow it at once in torque control without a ramp.
 
     The setpoint feeds the watchdog in every mode.
     """
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
-    # Every other mode follows the setpoint at its next update, see ``motion``.
+    # Every other mode follows the setpoint at the next update of the mode, see ``motion``.
     if node.state != CLOSED_LOOP or node.control_mode != TORQUE_CONTROL or node.input_mode != PASSTHROUGH:
         return
     follow_torque(node, servo, torque)
@@ -62,10 +66,11 @@ def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
 
 @inner
 def follow_torque(node: Any, servo: Any, torque: float) -> None:
-    """Follow a torque [N m at the shaft] within the limits."""
+    """Follow a torque setpoint [N m at the shaft] within the limits of the drive."""
     limit = node.current_limit * node.torque_constant
     servo.limit = limit if limit < node.peak else node.peak
-    # The comparisons are those of Python's min(high, max(low, torque)), because limits may be NaN.
+    # Limits may be NaN, so the comparisons are exactly those of Python's min(high, max(low,
+    # torque)).
     torque = torque if torque > node.torque_min else node.torque_min
     torque = torque if torque < node.torque_max else node.torque_max
     servo.torque = node.direction * node.gear * torque
@@ -74,11 +79,11 @@ def follow_torque(node: Any, servo: Any, torque: float) -> None:
 
 @inner
 def limit_speed(node: Any, servo: Any) -> None:
-    """Apply velocity limit and velocity gain, as in every control mode of an ODrive.
+    """Set the speed limit of the servo with the gain. Both act in every control mode of an ODrive.
 
-    Torque control brakes above the limit (``enable_torque_mode_vel_limit``, on by default).
-    Velocity control limits its setpoint. Both are gain (limit - velocity). Source: ODrive firmware
-    0.5.6, ``controller.cpp``, limitVel.
+    In torque control, the drive brakes above the limit (``enable_torque_mode_vel_limit``, on by
+    default). In velocity control, the drive limits the setpoint. The torque of both is gain (limit
+    - velocity). Source: ODrive firmware 0.5.6, ``controller.cpp``, limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN / node.gear
     servo.speed_gain = node.velocity_gain / TURN * node.gear * node.gear
@@ -86,25 +91,25 @@ def limit_speed(node: Any, servo: Any) -> None:
 
 @inner
 def turns(node: Any, angle: float) -> float:
-    """Return the position [turn] for a spool angle of the encoder [rad]."""
+    """Convert the spool angle of the encoder [rad] to the position that the drive reports [turn]."""
     return float((node.direction * node.gear * angle + node.offset) / TURN)
 
 
 @inner
 def turns_per_s(node: Any, velocity: float) -> float:
-    """Return the velocity [turn/s] for a spool velocity [rad/s]."""
+    """Convert the angular velocity of the spool [rad/s] to the velocity that the drive reports [turn/s]."""
     return float(node.direction * node.gear * velocity / TURN)
 
 
 @inner
 def watchdog_expired(node: Any, t_ns: int) -> bool:
-    """Return True if the watchdog fires."""
+    """Return True if the drive's watchdog fires now."""
     return bool(node.state == CLOSED_LOOP and node.timeout_ns > 0 and t_ns >= node.watchdog_fed_ns + node.timeout_ns)
 
 
 @inner
 def schedule(node: Any) -> None:
-    """Schedule the next wake of a drive: thermal update, cyclic messages, watchdog."""
+    """Schedule the next wake of a drive, for temperatures, cyclic messages, watchdog, calibration or motion."""
     wake_ns = min(node.thermal_ns + THERMAL_PERIOD_NS, node.heartbeat_due_ns, node.encoder_due_ns)
     if node.state == CLOSED_LOOP and node.timeout_ns > 0:
         wake_ns = min(wake_ns, node.watchdog_fed_ns + node.timeout_ns)
@@ -120,8 +125,8 @@ def next_due(due_ns: int, t_ns: int, period_ns: int) -> int:
     """Return the next due time of a cyclic message after it was sent [ns].
 
     Args:
-        due_ns: due time of the message [ns].
+        due_ns: time at which the sent message was due [ns].
         t_ns: present time [ns].
-        period_ns: period [ns].
+        period_ns: period of the message [ns].
     """
     return max(due_ns, t_ns - 1) + period_ns

@@ -1,6 +1,9 @@
-"""A motor with the firmware of an ODrive, 0.6.x or 0.5.x, on CANSimple. Source: facts, odrive_cansimple.
+"""A motor on an ODrive with firmware 0.6.x or 0.5.x and CANSimple.
 
-Identifier: node number in bits 10..5, command in bits 4..0. Payloads are little-endian:
+Source: fact sheet odrive_cansimple.
+
+Identifiers have the node number in bits 10..5 and the command in bits 4..0. Payloads are
+little-endian:
 
     0x01  Heartbeat              u32 errors, u8 state, u8 result, u8 trajectory done, u8, cyclic
     0x02  Estop                  -
@@ -24,19 +27,19 @@ Identifier: node number in bits 10..5, command in bits 4..0. Payloads are little
     0x1A  Set_Pos_Gain           f32 gain [1/s]
     0x1B  Set_Vel_Gains          f32 gain [N m s/turn], f32 integrator gain
 
-A Get message is requested by a remote frame with its identifier, or by a data frame without
-payload.
+A host requests a Get message with a remote frame or an empty data frame of the message's
+identifier.
 
-Choices where the fact sheet has an "assumption":
+Choices where the fact sheet has only an assumption:
 
-- The heartbeat's error is the active errors or else the disarm reason.
-- Only setpoints feed the watchdog.
-- NaN as a setpoint disarms with "missing input".
-- A disarm reason stays until Clear_Errors and blocks closed loop until then.
-- Endpoints have the numbers of the hand file.
-- A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated`` closed
-  loop is refused until then.
-- Position and velocity control, and their input modes, are in ``motion``.
+- The error field of the heartbeat combines the active errors and the disarm reason.
+- Only setpoint messages feed the watchdog.
+- A setpoint of NaN disarms the axis with the error *missing input*.
+- A disarm reason stays until Clear_Errors. Until then, the axis refuses closed loop.
+- Endpoints have the numbers that the hand file gives.
+- A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated``, the
+  axis refuses closed loop before a calibration.
+- The module ``motion`` has position control, velocity control and their input modes.
 """
 
 import math
@@ -64,29 +67,32 @@ from firmware_sim.nodes.thermal import Thermal
 from firmware_sim.plant.motor import Motor
 
 MISSING_INPUT = 1 << 6
-"""Error: a setpoint is not finite."""
+"""Error bit: a setpoint is not finite."""
 MOTOR_HOT = 1 << 13
-"""Error: over-temperature of the motor."""
+"""Error bit: over-temperature of the motor."""
 WATCHDOG = 1 << 24
-"""Error: the watchdog fired."""
+"""Error bit: the watchdog has fired."""
 ESTOP = 1 << 25
-"""Error: emergency stop requested."""
+"""Error bit: the host has requested an emergency stop."""
 SUCCESS = 0
-"""Procedure result: success."""
+"""Procedure result: the last procedure has succeeded."""
 DISARMED = 3
-"""Procedure result: the axis was disarmed by an error."""
+"""Procedure result: an error has disarmed the axis."""
 BUSY = 1
-"""Procedure result: a procedure runs."""
+"""Procedure result: a procedure still runs."""
 CANCELLED = 2
-"""Procedure result: a procedure was ended by the host."""
+"""Procedure result: the host has ended a procedure."""
 INVALID_STATE = 13
 """Procedure result: the requested state is not possible."""
 NOT_CALIBRATED = 14
 """Procedure result: closed loop needs a calibration first."""
 CALIBRATION_NS = {3: 4_000_000_000, 4: 2_000_000_000, 7: 2_000_000_000}
-"""Duration of each calibration by its axis state [ns]: full, motor, encoder offset. Assumed."""
+"""Duration of each calibration (full, motor, encoder offset) by its axis state [ns].
+
+An assumption.
+"""
 COUNTS_PER_TURN = 8192
-"""Encoder counts of one turn, vendor's default of firmware 0.5."""
+"""Encoder counts of one turn: the vendor's default of firmware 0.5."""
 BROADCAST = 0x3F
 """Node number of messages to all nodes."""
 HEARTBEAT_MS = 100
@@ -94,59 +100,60 @@ HEARTBEAT_MS = 100
 ENCODER_MS = 10
 """Vendor's default period of the encoder estimates [ms]."""
 SERIAL = 0x0D_5A_11_00_00_00
-"""Serial number of node 0."""
+"""Serial number of node 0. Other nodes add their node number."""
 HOT_C = 120.0
 """Winding temperature at which the axis disarms [degC]."""
 _SIZES = {
     0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x12: 8,
     0x13: 4, 0x16: 0, 0x18: 0, 0x19: 4, 0x1A: 4, 0x1B: 8,
 }  # fmt: skip
-"""Minimum payload of each accepted message [bytes]."""
+"""Minimum length of the payload of each accepted message, by command number [bytes]."""
 _LEGACY_ANSWERS = {0x09, 0x14, 0x17}
-"""Get messages that firmware 0.5.x answers."""
+"""Command numbers of the Get messages that firmware 0.5.x answers."""
 _LEGACY_ERRORS = {MISSING_INPUT: 1 << 0, MOTOR_HOT: 1 << 6, WATCHDOG: 1 << 11, ESTOP: 1 << 14}
-"""Axis errors of firmware 0.5.x by errors of firmware 0.6.x."""
+"""Axis error bits of firmware 0.5.x, by the error bits of firmware 0.6.x."""
 
 
 class OdriveNode:
-    """One axis.
+    """A simulated axis of an ODrive.
 
     Attributes:
-        state: axis state.
-        active_errors: present errors.
-        disarm_reason: error that disarmed the axis last.
-        result: procedure result.
-        endpoints: bytes of enable_watchdog, watchdog_timeout, torque maximum and minimum, by
-            endpoint number.
-        control_mode: controlled quantity.
-        input_mode: input filter.
-        setpoint: torque setpoint or feedforward torque [N m].
-        motion: position and velocity control.
-        motion_due_ns: time of its next update [ns], 0 in torque control without a ramp.
-        torque_min: lower torque limit of the endpoints [N m].
-        torque_max: upper torque limit of the endpoints [N m].
-        timeout_ns: watchdog timeout of the endpoints [ns], 0 if off.
-        velocity_limit: velocity limit [turn/s].
-        current_limit: current limit [A].
-        velocity_gain: velocity gain [N m s/turn].
-        thermal: temperatures.
+        state: present axis state.
+        active_errors: bits of the present errors.
+        disarm_reason: bits of the errors that have disarmed the axis since the last Clear_Errors.
+        result: result of the last procedure.
+        endpoints: bytes of the stored settings by endpoint number, such as enable_watchdog,
+            watchdog_timeout and the torque limits.
+        control_mode: control mode, which selects the controlled quantity.
+        input_mode: input mode, which selects how setpoints follow the inputs.
+        setpoint: torque setpoint, or feedforward torque in other control modes [N m].
+        motion: position control, velocity control and input modes of the axis.
+        motion_due_ns: time of the next update of ``motion`` [ns], 0 in torque control without a
+            ramp.
+        torque_min: lower torque limit, from its endpoint [N m].
+        torque_max: upper torque limit, from its endpoint [N m].
+        timeout_ns: timeout of the watchdog, from its endpoints [ns], 0 if the watchdog is off.
+        velocity_limit: velocity limit of the axis [turn/s].
+        current_limit: current limit of the axis [A].
+        velocity_gain: gain of the velocity loop [N m s/turn].
+        thermal: temperatures of motor and drive.
         ids: None, because the node answers many identifiers.
-        malformed: frames that the node could not decode.
-        wake_ns: time of the next wake [ns].
+        malformed: number of frames the node could not decode.
+        wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last setpoint [ns].
-        thermal_ns: time of the last thermal update [ns].
+        thermal_ns: time of the last update of the temperatures [ns].
         heartbeat_due_ns: time of the next heartbeat [ns].
         encoder_due_ns: time of the next encoder estimates [ns].
         accepted_ids: identifiers that the node may answer.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set up the axis after power-up.
+        """Set up the axis in the state after power-up.
 
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: shaft angle at theta = 0 [rad].
+            offset: shaft angle at the spool angle theta = 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -182,11 +189,12 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
-        # Endpoint numbers of the hand file replace default endpoints with the same number.
+        # If a number in the hand file equals that of a default endpoint, the endpoint of the hand
+        # file counts.
         defaults = {number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()}
         self.endpoints = defaults | self.endpoints
         self.legacy = options.get("firmware") == "0.5"
-        if usb := options.get("usb_watchdog_s"):  # This setting is made over USB, and no frame can change it.
+        if usb := options.get("usb_watchdog_s"):  # A host makes this setting over USB, and no frame can change it.
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
         self.calibrated = not options.get("uncalibrated", False)
@@ -204,12 +212,12 @@ class OdriveNode:
         self.wake_ns = 0
 
     def _set_modes(self, control: int, input_mode: int) -> None:
-        """Set control mode and input mode."""
+        """Set the control mode and the input mode."""
         self.control_mode = control
         self.input_mode = input_mode
 
     def _update_derived(self) -> None:
-        """Update the values that depend on endpoints."""
+        """Update the attributes that are derived from endpoints."""
         self.torque_min, self.torque_max = self._limit("torque_min", -math.inf), self._limit("torque_max", math.inf)
         enabled = self.endpoints.get(self._numbers["enable_watchdog"])
         seconds = self._limit("watchdog_timeout", 0.0)
@@ -217,16 +225,16 @@ class OdriveNode:
 
     @property
     def mode(self) -> tuple[int, int]:
-        """Return control mode and input mode."""
+        """Return the control mode and the input mode."""
         return self.control_mode, self.input_mode
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames that the node receives in every tick."""
+        """Return the identifiers of the frames for the node in every tick."""
         return self.node_id << 5 | 0x0E, self.node_id << 5 | 0x09 | REMOTE
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Answer a frame.
+        """Process a frame from the bus, and answer it.
 
         Returns:
             The answers, None if the frame is not for this axis.
@@ -246,14 +254,17 @@ class OdriveNode:
         return self._execute(command, frame.data, t_ns)
 
     def _answer_remote(self, node: int, command: int) -> list[Frame]:
-        """Answer a remote frame. Only Get_Address may be broadcast."""
+        """Answer a request for a Get message.
+
+        A host may broadcast only the request for Get_Address.
+        """
         if node == BROADCAST and command != 0x06:
             return []
         answer = self._get_payload(command)
         return [Frame(self.node_id << 5 | command, answer)] if answer else []
 
     def _get_payload(self, command: int) -> bytes:
-        """Return the payload of a Get message, empty if the message does not exist."""
+        """Return the payload of a Get message, empty if the firmware has no such message."""
         gear = self.gear
         sign = self.direction
         if self.legacy and command not in _LEGACY_ANSWERS:
@@ -277,7 +288,7 @@ class OdriveNode:
         return struct.pack("<ff", *pairs[command]) if command in pairs else b""
 
     def _execute(self, command: int, data: bytes, t_ns: int) -> list[Frame]:
-        """Execute a message of the host."""
+        """Execute a message from the host."""
         if command == 0x02:
             self.disarm(ESTOP)
         elif command == 0x04:
@@ -305,7 +316,7 @@ class OdriveNode:
         return []
 
     def _set_state(self, state: int, t_ns: int) -> None:
-        """Set the axis state. Errors block closed loop."""
+        """Set the axis state as the host requests. With an error, the axis refuses closed loop."""
         if state == IDLE:
             self._release(CANCELLED if self.busy_until_ns else SUCCESS)
         elif self._can_calibrate(state):
@@ -323,29 +334,29 @@ class OdriveNode:
             self.motion.start(t_ns)
 
     def _can_calibrate(self, state: int) -> bool:
-        """Return True if a state is a calibration that may start."""
+        """Return True if an axis state is a calibration that may start now."""
         has_error = self.active_errors or self.disarm_reason
         return state in CALIBRATION_NS and self.state == IDLE and not has_error
 
     def _set_mode(self, control: int, input_mode: int) -> None:
-        """Set the modes while idle."""
+        """Set the control mode and the input mode, but only while the axis is idle."""
         if self.state == IDLE:
             self._set_modes(control, input_mode)
 
     def _set_motion(self, command: int, data: bytes) -> None:
-        """Set a limit of trajectories or a gain."""
+        """Apply a message that sets limits of trajectories or gains."""
         values = struct.unpack_from("<ff" if command in (0x12, 0x1B) else "<f", data)
         self.motion.set(command, values)
         self.velocity_gain = self.motion.settings.velocity_gain
 
     def _set_limits(self, velocity: float, current: float) -> None:
-        """Set velocity limit [turn/s] and current limit [A], if both are positive."""
+        """Set the velocity limit [turn/s] and the current limit [A], if both values are positive."""
         if velocity > 0.0 and current > 0.0:
             self.velocity_limit = velocity
             self.current_limit = current
 
     def _set_torque(self, torque: float, t_ns: int) -> None:
-        """Set a torque setpoint [N m]."""
+        """Set a torque setpoint [N m], or disarm the axis if the setpoint is not finite."""
         if not math.isfinite(torque):
             self.disarm(MISSING_INPUT)
             return
@@ -353,7 +364,10 @@ class OdriveNode:
         self.motion.advance(t_ns, now=True)
 
     def _set_input(self, command: int, data: bytes, t_ns: int) -> None:
-        """Set position (0x0C) or velocity (0x0D) with feedforward. The values wait for a mode that uses them."""
+        """Set the inputs of Set_Input_Pos (0x0C) or Set_Input_Vel (0x0D).
+
+        The active mode uses only the inputs that it needs.
+        """
         if command == 0x0C:
             position, velocity, torque = struct.unpack("<fhh", data)
             values = position, velocity * 1e-3, torque * 1e-3
@@ -367,19 +381,22 @@ class OdriveNode:
         self.motion.advance(t_ns, now=True)
 
     def _limit(self, name: str, default: float) -> float:
-        """Return the float of an endpoint, or the default without this endpoint."""
+        """Return the float of a named endpoint, or the default if the hand file does not give its number."""
         raw = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw)[0]) if raw else default
 
     def endpoint_float(self, number: int) -> float:
-        """Return a setting of ``MOTION_ENDPOINTS``, or its default if the hand file uses its number otherwise."""
+        """Return a setting of ``MOTION_ENDPOINTS``.
+
+        If the hand file reuses its number, return the default.
+        """
         if number in self._numbers.values():
             return MOTION_ENDPOINTS[number][1]
         (value,) = struct.unpack("<f", self.endpoints[number])
         return max(0.0, float(value)) if math.isfinite(value) else 0.0
 
     def _sdo(self, data: bytes) -> list[Frame]:
-        """Answer a read of an endpoint. A write has no answer, as in firmware before 0.6.11."""
+        """Read or write an endpoint. A write is not answered, as in firmware before 0.6.11."""
         operation = data[0]
         endpoint = int.from_bytes(data[1:3], "little")
         stored = self.endpoints.get(endpoint)
@@ -393,7 +410,7 @@ class OdriveNode:
         return [Frame(self.node_id << 5 | 0x05, b"\0" + endpoint.to_bytes(2, "little") + b"\0" + stored)]
 
     def _set_position(self, data: bytes) -> None:
-        """Take the present position as a position [turn], or [count] with firmware 0.5."""
+        """Shift the zero until the present position has the given value, in turns or (firmware 0.5) in counts."""
         (value,) = struct.unpack_from("<i" if self.legacy else "<f", data)
         position = value / COUNTS_PER_TURN if self.legacy else value
         if math.isfinite(position):
@@ -411,7 +428,10 @@ class OdriveNode:
         }
 
     def _reboot(self, action: int) -> None:
-        """Restart with the saved settings, after they were saved (1) or erased (2)."""
+        """Restart with the saved settings.
+
+        Action 1 saves the present settings first, and action 2 erases them.
+        """
         self._saved = {1: self._settings(), 2: self._factory}.get(action, self._saved)
         self._release(SUCCESS)
         self.active_errors = self.disarm_reason = 0
@@ -419,7 +439,7 @@ class OdriveNode:
         self.lose_settings()
 
     def lose_settings(self) -> None:
-        """Restore the saved settings without a change of state."""
+        """Restore the saved settings, but keep the axis state."""
         saved = self._saved
         self.velocity_limit = saved["velocity_limit"]
         self.current_limit = saved["current_limit"]
@@ -430,7 +450,7 @@ class OdriveNode:
         self._update_derived()
 
     def _release(self, result: int) -> None:
-        """Enter idle with a procedure result. The motor coasts."""
+        """Enter the axis state idle with a procedure result. The motor turns freely."""
         self.motor.servo.release()
         self.motion_due_ns = 0
         self.state = IDLE
@@ -439,12 +459,12 @@ class OdriveNode:
         self.setpoint = 0.0
 
     def disarm(self, error: int) -> None:
-        """Enter idle because of an error. The motor coasts."""
+        """Enter the axis state idle because of an error. The motor turns freely."""
         self.disarm_reason |= error
         self._release(DISARMED)
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Check watchdog and temperature, and send the cyclic messages.
+        """Do the work that is due: temperatures, watchdog, calibration, motion and cyclic messages.
 
         Returns:
             The cyclic messages that are due.
@@ -479,7 +499,7 @@ class OdriveNode:
         return struct.pack("<IBBBB", errors, self.state, self.result, self.motion.done, 0)
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Integrate the temperatures and disarm on over-temperature."""
+        """Advance the temperatures, and disarm the axis on over-temperature of the motor."""
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
@@ -489,11 +509,11 @@ class OdriveNode:
 
 
 class OdriveNodeRow(OdriveStruct, OdriveNode):
-    """An axis whose numbers are a row of an array."""
+    """An axis whose numbers are kept in a row of an array, for compiled kernels."""
 
     layout = OdriveStruct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Initialize the row. See ``OdriveNode``."""
+        """Initialize the row of the axis. See ``OdriveNode``."""
         OdriveNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number

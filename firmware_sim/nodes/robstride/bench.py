@@ -1,21 +1,24 @@
-"""RobStride motors as delivered. Source of the ranges: facts, robstride. The free shaft is an assumption."""
+"""RobStride motors as delivered.
+
+The free shaft is an assumption. Source of the ranges: docs/facts/robstride.md.
+"""
 
 from firmware_sim.bus.frame import EXTENDED, Frame
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, Shaft
 from firmware_sim.nodes.robstride.node import DEFAULT_TYPE, FULL_SCALE, POSITION_RANGE, RobstrideNode
 
 INERTIA_PER_TORQUE = 2e-4
-"""Output inertia for each N m of full scale [kg m2/N m], as for other geared motors."""
+"""Inertia at the output divided by the torque at full scale [kg m2/N m], as for other geared motors."""
 
 
 def shaft(motor_type: str) -> Shaft:
-    """Build the shaft of a model."""
+    """Build the shaft of a motor model."""
     velocity, peak, _, _ = FULL_SCALE[motor_type]
     return Shaft(peak, INERTIA_PER_TORQUE * peak, 1.0, POSITION_RANGE, velocity, {"motor_type": motor_type})
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
-    """Return a read of parameter 0x7019, the position."""
+    """Return a request that reads parameter 0x7019, the position."""
     return EXTENDED | 0x11 << 24 | 0xFD00 | node_id, b"\x19\x70" + bytes(6)
 
 
@@ -29,13 +32,13 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
-    """Replace the torque limit by 1 N m in a read-back."""
+    """Replace the torque limit by 1 N m in the reply to a read request."""
     matches = (frame.can_id & ~EXTENDED) >> 24 == 0x11 and frame.data[:2] == b"\x0b\x70"
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
 
 
 def _force_command(node: RobstrideNode, frame: Frame) -> None:
-    """Follow a control command in any state."""
+    """Follow a control command in any mode of the motor."""
     number = frame.can_id & ~EXTENDED
     if number >> 24 == 1 and number & 0xFF == node.node_id and len(frame.data) == 8:
         node.follow(number >> 8 & 0xFFFF, frame.data)
@@ -45,4 +48,4 @@ SPEC = ProtocolSpec(
     RobstrideNode, range(1, 0x80), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command, _corrupt_reply,
     force_command=_force_command,
 )  # fmt: skip
-"""The RobStride protocol."""
+"""Specification of RobStride's private protocol for simulated drives."""

@@ -1,4 +1,6 @@
-"""A RobStride motor in its MIT mode, with 11-bit identifiers. Source: facts, robstride, section MIT mode.
+"""A RobStride motor in its MIT mode, with 11-bit identifiers.
+
+Source: docs/facts/robstride.md, section MIT mode.
 
     identifier          payload                          effect, and answer
     motor               FF FF FF FF FF FF FF FC          enable, feedback
@@ -14,14 +16,15 @@
     0x100 + motor       target position, largest speed   feedback
     0x200 + motor       target speed, current limit      feedback
 
-Feedback has the identifier of the host: number of the motor, position 16 bit, velocity 12, torque
-12, 10 x degC 16 bit. The identity has the identifier of the motor.
+Feedback has the identifier of the host. Its payload is the number of the motor, the position (16
+bits), the velocity (12 bits), the torque (12 bits) and the temperature (16 bits, in 0.1 degC). The
+identity has the identifier of the motor.
 
-Choices where the fact sheet has an "assumption":
+Choices where the fact sheet has only an assumption:
 
 - Frames with 29-bit identifiers are ignored.
-- Position and velocity mode are answered, and not followed.
-- There are no fault reports.
+- Commands of position and velocity mode are answered, but have no effect.
+- The motor sends no fault reports.
 """
 
 import struct
@@ -41,30 +44,30 @@ from firmware_sim.nodes.robstride.node import (
 from firmware_sim.plant.motor import Motor
 
 POSITION_RANGE = 12.57
-"""Position range in MIT mode [rad]."""
+"""Largest position in the frames of MIT mode [rad]."""
 FACTORY_HOST = 0
-"""Number of the host as delivered."""
+"""Number of the host in a motor as delivered."""
 HOST_OFFSET = 0x10
-"""Distance of the host's number from the motor's number in a hand file without ``host_id``."""
+"""The host's number minus the motor's number, if the hand file does not give ``host_id``."""
 _SPECIAL = b"\xff" * 6
 """First six bytes of a special command."""
 
 
 class RobstrideMitNode(RobstrideNode):
-    """One motor in MIT mode.
+    """A simulated RobStride motor in MIT mode.
 
     Attributes:
         host_id: identifier of the feedback.
-        next_protocol: protocol from the next power-up on: 0 private, 1 CANopen, 2 MIT.
+        next_protocol: protocol of the motor from the next power-up on: 0 private, 1 CANopen, 2 MIT.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set up the node after power-up.
+        """Set up the node in the state after power-up.
 
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle on the wire at theta = 0 [rad].
+            offset: angle in frames at the spool angle theta = 0 [rad].
         """
         super().__init__(spec, motor, offset)
         self.host_id = int(spec.options.get("host_id", spec.node_id + HOST_OFFSET))
@@ -75,10 +78,10 @@ class RobstrideMitNode(RobstrideNode):
         self._ranges = Ranges(POSITION_RANGE, self._velocity, self._torque)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Execute a frame.
+        """Execute and answer a frame.
 
         Returns:
-            The answers, None if the frame is not for this motor.
+            The answers, None if the frame is not for the motor.
         """
         wrong = frame.can_id & (EXTENDED | REMOTE) or frame.flags & FDF
         if wrong or frame.can_id & 0xFF != self.node_id or frame.can_id >> 8 > 2:
@@ -98,7 +101,10 @@ class RobstrideMitNode(RobstrideNode):
         return [self._answer(frame)]
 
     def _special(self, area: int, code: int, frame: Frame, t_ns: int) -> list[Frame]:
-        """Execute a special command. Byte 6 is FF, or a value of the command."""
+        """Execute a special command.
+
+        Byte 6 of the frame is FF, or a value that belongs to the command.
+        """
         plain = area == 0xFF
         if code == 0xFB and not plain:
             return [Frame(self.host_id, bytes((self.node_id,)) + struct.pack("<I", self._fault_word) + bytes(3))]
@@ -109,7 +115,7 @@ class RobstrideMitNode(RobstrideNode):
         elif code == 0xFD and plain:
             self._stop(clear=False)
         elif code == 0xFB:
-            # LeRobot polls running motors with this command, hence it does not stop them.
+            # LeRobot polls running motors with this command, so the command must not stop a motor.
             self.fault = 0
         elif code == 0xFE and plain:
             self.offset = -self._direction * self.motor.encoder()
@@ -118,12 +124,15 @@ class RobstrideMitNode(RobstrideNode):
         return [self._answer(frame)]
 
     def _set_run_mode(self, mode: int) -> None:
-        """Set the mode of operation, unless the motor runs."""
+        """Set the mode of operation, unless the motor is in run mode."""
         if self.mode != RUN:
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
     def _set_up(self, area: int, code: int) -> list[Frame]:
-        """Change the protocol or the numbers. The motor replies with its identity."""
+        """Change the protocol, or the number of the motor or host.
+
+        The motor replies with its identity.
+        """
         node_id = self.node_id
         if code == 0xFD and area <= 2:
             self.next_protocol = area
@@ -138,7 +147,7 @@ class RobstrideMitNode(RobstrideNode):
 
     @property
     def _fault_word(self) -> int:
-        """Return the faults with the bits of a fault report."""
+        """Return the present faults, coded as in a fault report."""
         return sum(reported for bit, reported in REPORTED.items() if self.fault & bit) | self.fault >> REPORT_SHIFT
 
     def follow_command(self, data: bytes) -> None:
@@ -155,7 +164,7 @@ class RobstrideMitNode(RobstrideNode):
         servo.limit = limit
 
     def _answer(self, frame: Frame) -> Frame:
-        """Return the feedback."""
+        """Return the frame with the present feedback."""
         motor = self.motor
         sign = self._direction
         position = to_code(sign * motor.encoder() + self.offset, POSITION_RANGE, 16)
@@ -166,7 +175,7 @@ class RobstrideMitNode(RobstrideNode):
         return Frame(self.host_id, data, 0, frame.bus)
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Check watchdog and temperature. There are no fault reports.
+        """Check the watchdog and the temperature, but send no fault reports.
 
         Returns:
             No frame.
@@ -176,7 +185,7 @@ class RobstrideMitNode(RobstrideNode):
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
-    """Return a stop command."""
+    """Return a stop command for a motor."""
     return node_id, b"\xff" * 7 + b"\xfd"
 
 
@@ -187,7 +196,7 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 
 def _force_command(node: RobstrideMitNode, frame: Frame) -> None:
-    """Follow a control command in any state."""
+    """Follow a control command in any mode of the motor."""
     if frame.can_id == node.node_id and len(frame.data) == 8 and frame.data[:6] != _SPECIAL:
         node.follow_command(frame.data)
 
@@ -198,4 +207,4 @@ SPEC = ProtocolSpec(
     _DEFAULT_SHAFT._replace(position=POSITION_RANGE, options={**_DEFAULT_SHAFT.options, "host_id": FACTORY_HOST}),
     _host_frame, _corrupt_command, force_command=_force_command,
 )  # fmt: skip
-"""RobStride motors in MIT mode."""
+"""Specification of RobStride motors in MIT mode."""

@@ -1,4 +1,4 @@
-"""A motor with RobStride's firmware, private protocol. Source: facts, robstride.
+"""A motor with RobStride's firmware and private protocol. Source: docs/facts/robstride.md.
 
     type   identifier 23..16   15..8   7..0     payload
     0      0                   host    motor    identity request, answered by motor in 15..8, 0xFE, 64 bits
@@ -13,14 +13,15 @@
     0x15   0                   motor   host     u32 faults, u32 warnings
     0x16   0                   host    motor    01 .. 08: save the parameters
 
-Types 1, 3, 4, 6, 0x12 and 0x16 are answered by type 2.
+The motor answers the types 1, 3, 4, 6, 0x12 and 0x16 with a frame of type 2.
 
-Choices where the fact sheet has an "assumption":
+Choices where the fact sheet has only an assumption:
 
-- A control command is answered to the host of the latest request.
-- Enable and control commands feed the watchdog. It enters reset mode without a fault.
+- The answer to a control command goes to the host that sent the latest request.
+- Enable and control commands feed the watchdog. When the watchdog fires, the motor enters reset
+  mode without a fault.
 - Faults other than over-temperature stay until they are cleared. A fault prevents enabling.
-- A fault report follows each new fault, to the host of the latest request.
+- After each new fault, the motor sends a fault report to the host that sent the latest request.
 - Modes of operation other than 0 and the change of bit rate or protocol are refused in silence.
 """
 
@@ -40,80 +41,83 @@ FULL_SCALE = {
     "rs04": (15.0, 120.0, 5000.0, 100.0),
     "rs05": (50.0, 5.5, 500.0, 5.0),
 }
-"""Velocity [rad/s], torque [N m], kp [N m/rad] and kd [N m s/rad] of each model."""
+"""Velocity [rad/s], torque [N m], kp [N m/rad] and kd [N m s/rad] at full scale, by motor model."""
 DEFAULT_TYPE = "rs05"
-"""Default model."""
+"""Motor model if the hand file gives none."""
 POSITION_RANGE = 4.0 * math.pi
-"""Position range of all models [rad]."""
+"""Largest position in frames, for all motor models [rad]."""
 RESET = 0
 RUN = 2
-"""Modes."""
+"""Modes of the motor, as in the identifier of the feedback."""
 UNDER_VOLTAGE = 1 << 0
 OVER_CURRENT = 1 << 1
 HOT = 1 << 2
 ENCODER = 1 << 3
 OVERLOAD = 1 << 4
 UNCALIBRATED = 1 << 5
-"""Faults in the identifier of the feedback."""
+"""Bits of the faults in the identifier of the feedback."""
 REPORTED = {
     UNDER_VOLTAGE: 1 << 2, OVER_CURRENT: 1 << 4, HOT: 1 << 0, ENCODER: 1 << 9, OVERLOAD: 1 << 14, UNCALIBRATED: 1 << 7,
 }  # fmt: skip
-"""Faults in the fault report, by the fault in the feedback."""
+"""Bits of the faults in the fault report, by the bit of the fault in the feedback."""
 FEEDBACK_FAULTS = 0x3F
-"""Faults that the feedback can report.
+"""Mask of the faults that the feedback can report.
 
-Higher bits are only in the fault report, see ``REPORT_SHIFT``.
+Faults with higher bits appear only in the fault report, see ``REPORT_SHIFT``.
 """
 REPORT_SHIFT = 8
-"""Bit of a fault that corresponds to bit 0 of the fault report."""
+"""Number of the fault bit that corresponds to bit 0 of the fault report."""
 HOT_C = 135.0
-"""Winding temperature of the fault [degC]."""
+"""Winding temperature above which the motor reports a fault [degC]."""
 THERMAL_PERIOD_NS = 100_000_000
-"""Period of the thermal update [ns]."""
+"""Period of the update of the temperatures [ns]."""
 TIMEOUT_UNIT_NS = 50_000
-"""One count of the watchdog: 20000 counts are a second [ns]."""
+"""One count of the watchdog's timeout [ns]: 20000 counts are a second."""
 SERIAL = 0x5253_0500_0000_0000
-"""Identity of motor 0."""
+"""Identity (64 bits) of motor 0. Other motors add their number."""
 FACTORY_HOST = 0xFD
-"""Host of feedback before the first request."""
+"""Number of the host that gets feedback before any host has sent a request."""
 PARAMETERS = {0x7005: "B", 0x700B: "f", 0x7017: "f", 0x7018: "f", 0x7026: "H", 0x7028: "I", 0x7029: "B", 0x702B: "f"}
-"""Parameters that can be written, with their coding in ``struct``."""
+"""Parameters that can be written, with their format characters of ``struct``."""
 MEASURED = (0x7019, 0x701A, 0x701B, 0x701C)
-"""Parameters that can only be read: position, current, velocity, voltage."""
+"""Parameters that can only be read: position, current, velocity and voltage."""
 
 
 def to_code(value: float, largest: float) -> int:
-    """Return the 16 bits of a value within +-largest. Values beyond are limited."""
+    """Encode a value between -largest and largest as 16 bits.
+
+    Values beyond are limited to this range.
+    """
     return round((min(largest, max(-largest, value)) + largest) / (2.0 * largest) * 65535)
 
 
 def from_code(code: int, low: float, high: float) -> float:
-    """Return the value of 16 bits that span low to high."""
+    """Decode 16 bits into a value between low and high."""
     return low + (high - low) * code / 65535
 
 
 class RobstrideNode:
-    """One motor.
+    """A simulated RobStride motor.
 
     Attributes:
-        mode: reset or run.
-        fault: present faults.
+        mode: mode of the motor, reset or run.
+        fault: bits of the present faults.
         parameters: bytes of the writable parameters, by number.
-        thermal: temperatures.
-        offset: angle on the wire at theta = 0 [rad].
+        thermal: temperatures of motor and drive.
+        offset: angle in frames at the spool angle theta = 0 [rad].
         ids: None, because the node answers many identifiers.
-        malformed: frames that the node could not decode.
-        wake_ns: time of the next wake [ns].
+        malformed: number of frames the node could not decode.
+        wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last command [ns].
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set up the node after power-up.
+        """Set up the node in the state after power-up.
 
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle on the wire at theta = 0 [rad].
+            offset: angle in frames at the spool angle theta = 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -143,25 +147,25 @@ class RobstrideNode:
 
     @property
     def run_mode(self) -> int:
-        """Return the mode of operation."""
+        """Return the number of the mode of operation."""
         return self.parameters[0x7005][0]
 
     @property
     def timeout_ns(self) -> int:
-        """Return the time without a command until the watchdog fires [ns], 0 if it is off."""
+        """Return the time without a command after which the watchdog fires [ns], 0 if the watchdog is off."""
         return int.from_bytes(self.parameters[0x7028], "little") * TIMEOUT_UNIT_NS
 
     @property
     def torque_limit(self) -> float:
-        """Return the torque limit [N m]."""
+        """Return the torque limit in effect [N m]."""
         limit = float(struct.unpack("<f", self.parameters[0x700B])[0])
         return min(self._peak, self._torque, limit)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Execute a frame.
+        """Execute and answer a frame.
 
         Returns:
-            The answers, None if the frame is not for this motor.
+            The answers, None if the frame is not for the motor.
         """
         number = frame.can_id & ~EXTENDED
         if not frame.can_id & EXTENDED or frame.can_id & REMOTE or frame.flags & FDF or number & 0xFF != self.node_id:
@@ -179,9 +183,9 @@ class RobstrideNode:
         return self._execute(kind, number >> 16 & 0xFF, frame, t_ns)
 
     def _execute(self, kind: int, area: int, frame: Frame, t_ns: int) -> list[Frame]:
-        """Execute a request of a host."""
+        """Execute a request of a host and answer it."""
         if kind in (0, 7):
-            # A new number takes effect at once, and is answered by the identity.
+            # A new motor number takes effect at once, and the answer is the identity.
             if kind == 7 and 0 < area < 0x80:
                 self.node_id = area
             return [self._identity(frame)]
@@ -195,11 +199,11 @@ class RobstrideNode:
         return [self._feedback(frame)]
 
     def _identity(self, frame: Frame) -> Frame:
-        """Return the frame with the identity."""
+        """Return the frame with the identity of the motor."""
         return Frame(EXTENDED | self.node_id << 8 | 0xFE, self._serial.to_bytes(8, "big"), 0, frame.bus)
 
     def _enable(self, _data: bytes, t_ns: int) -> None:
-        """Enter run mode, without faults and in operation control."""
+        """Enter run mode, if the motor has no fault and its mode of operation is 0 (operation control)."""
         if self.fault or self.run_mode != 0:
             return
         self.watchdog_fed_ns = t_ns
@@ -209,7 +213,7 @@ class RobstrideNode:
         self._schedule()
 
     def _stop_on_request(self, data: bytes, _t_ns: int) -> None:
-        """Enter reset mode. Byte 0 = 1 also clears the faults."""
+        """Enter reset mode. If byte 0 of the request is 1, also clear the faults."""
         self._stop(clear=data[0] == 1)
 
     def _set_zero(self, data: bytes, _t_ns: int) -> None:
@@ -218,12 +222,12 @@ class RobstrideNode:
             self.offset = -self._direction * self.motor.encoder()
 
     def _save(self, data: bytes, _t_ns: int) -> None:
-        """Save the parameters."""
+        """Save the present parameters."""
         if data == bytes(range(1, 9)):
             self._saved = dict(self.parameters)
 
     def _stop(self, clear: bool) -> None:
-        """Enter reset mode, and clear the faults on request."""
+        """Enter reset mode, and clear the faults if ``clear`` is True."""
         self.motor.servo.release()
         self.mode = RESET
         if clear:
@@ -238,7 +242,7 @@ class RobstrideNode:
         self._schedule()
 
     def follow(self, torque: int, data: bytes) -> None:
-        """Set the servo from the 16 bits of the torque and a payload of 8 bytes."""
+        """Set the servo from the two parts of a control command: 16 bits of torque and a payload of 8 bytes."""
         position, velocity, kp, kd = struct.unpack(">4H", data)
         servo = self.motor.servo
         sign = self._direction
@@ -252,7 +256,7 @@ class RobstrideNode:
         servo.limit = limit
 
     def _read(self, data: bytes, frame: Frame) -> Frame:
-        """Return the reply to a parameter read."""
+        """Return the reply to a request that reads a parameter."""
         number = int.from_bytes(data[:2], "little")
         value = self.parameters.get(number)
         if value is None and number in MEASURED:
@@ -261,7 +265,7 @@ class RobstrideNode:
         return Frame(head, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
 
     def _measured(self, number: int) -> float:
-        """Return a measured parameter."""
+        """Return the present value of a measured parameter."""
         sign = self._direction
         values = {
             0x7019: sign * self.motor.encoder() + self.offset,
@@ -285,7 +289,7 @@ class RobstrideNode:
         self.parameters[number] = struct.pack(f"<{coding}", value).ljust(4, b"\0")
 
     def _feedback(self, frame: Frame) -> Frame:
-        """Return the feedback to the latest host."""
+        """Return the frame with the feedback, to the host that sent the latest request."""
         motor = self.motor
         sign = self._direction
         position = to_code(sign * motor.encoder() + self.offset, POSITION_RANGE)
@@ -296,7 +300,10 @@ class RobstrideNode:
         return Frame(EXTENDED | 2 << 24 | status << 16 | self.node_id << 8 | self._host, data, 0, frame.bus)
 
     def trip(self, fault: int) -> None:
-        """Enter reset mode with a fault. A fault of 0 is the watchdog, which has no fault."""
+        """Enter reset mode with a fault.
+
+        The value 0 stands for the watchdog, which sets no fault.
+        """
         self.motor.servo.release()
         self.mode = RESET
         self.fault |= fault
@@ -311,11 +318,11 @@ class RobstrideNode:
         self._host = FACTORY_HOST
 
     def lose_settings(self) -> None:
-        """Restore the saved parameters without a change of mode."""
+        """Restore the saved parameters, but keep the mode."""
         self.parameters = dict(self._saved)
 
     def _schedule(self) -> None:
-        """Set the time of the next wake."""
+        """Set the time of the next call of ``wake``."""
         self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
         if self.mode == RUN and self.timeout_ns:
             self.wake_ns = min(self.wake_ns, self.watchdog_fed_ns + self.timeout_ns + 1)
@@ -323,7 +330,7 @@ class RobstrideNode:
             self.wake_ns = 0
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Check watchdog and temperature, and send the reports of new faults.
+        """Check the watchdog and the temperature, and report new faults.
 
         Returns:
             The fault reports.
@@ -343,7 +350,7 @@ class RobstrideNode:
         return reports
 
     def _report(self, fault: int) -> Frame:
-        """Return the fault report of faults."""
+        """Return the frame that reports faults."""
         bits = sum(reported for bit, reported in REPORTED.items() if fault & bit) | fault >> REPORT_SHIFT
         warning = int(self.thermal.winding > HOT_C)
         return Frame(EXTENDED | 0x15 << 24 | self.node_id << 8 | self._host, struct.pack("<II", bits, warning))

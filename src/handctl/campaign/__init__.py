@@ -1,1 +1,4 @@
-"""Fault campaign: the fault matrix is run on a simulated hand in lockstep."""
+"""Fault campaign.
+
+The campaign injects all faults of the fault matrix into a simulated hand in lockstep.
+"""

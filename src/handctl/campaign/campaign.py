@@ -1,4 +1,4 @@
-"""Fault campaign for one hand and some protocols: all scenarios of the matrix, and a run without faults."""
+"""Fault campaign for one hand and some drive protocols: all scenarios of the fault matrix, and runs without faults."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -14,15 +14,18 @@ from handctl.safety.action import Action
 from handctl.session.simulate import Simulation
 
 QUICK_EVERY = 7
-"""Interval of a quick campaign, which runs every seventh scenario."""
+"""Interval between two scenarios that a quick campaign runs.
+
+A quick campaign runs every seventh scenario.
+"""
 NOISE_FACTOR = 3.0
-"""Factor for the specified sensor noise in the run without faults."""
+"""Factor by which the specified sensor noise is increased in the runs without faults."""
 FRAME_LOSS = 0.001
-"""Probability that a frame is lost in the run without faults."""
+"""Probability with which each CAN frame is lost in the runs without faults."""
 MAX_RUN_NS = 8_000_000_000
-"""Longest run of the hand without faults [ns]."""
+"""Longest duration of one run without faults [ns]."""
 LAST_PHASE = "hold"
-"""Phase at the end of a successful run."""
+"""Phase at the end of a successful run without faults."""
 
 
 @dataclass
@@ -32,10 +35,10 @@ class Report:
     Attributes:
         hand: name of the hand.
         rates: control rate by protocol [Hz].
-        results: results by protocol.
-        alarms: false alarms by protocol: faults with reaction HOLD or more in the run without
-            faults.
-        simulated_s: simulated time without faults, sum over all protocols [s].
+        results: results of the scenarios, by protocol.
+        alarms: false alarms by protocol. A false alarm is a fault with reaction HOLD or a more
+            severe one in a run without injected faults.
+        simulated_s: simulated time of the runs without faults, for all protocols together [s].
     """
 
     hand: str
@@ -46,11 +49,11 @@ class Report:
 
     @property
     def all_results(self) -> list[ScenarioResult]:
-        """Return the results of all protocols."""
+        """Return the results of the scenarios for all protocols."""
         return [result for results in self.results.values() for result in results]
 
     def plain(self) -> dict[str, Any]:
-        """Return the report as plain values, totals first."""
+        """Return the report as plain values for JSON. The totals come first."""
         results = self.all_results
         return {
             "hand": self.hand,
@@ -69,7 +72,7 @@ class Report:
 
 
 ProgressCallback = Callable[[str, int, int], None]
-"""Function called with the protocol, the number of finished scenarios, and the total number of scenarios."""
+"""Function called with the protocol, the number of finished scenarios, and the number of all scenarios."""
 
 
 def campaign_scenarios(
@@ -80,10 +83,10 @@ def campaign_scenarios(
     row_ids: Sequence[str] = (),
     seed: int = 0,
 ) -> list[Scenario]:
-    """Return the scenarios to run: all, every seventh, or the scenarios of some rows.
+    """Return the scenarios that a campaign runs: all, every seventh, or those of some rows of the fault matrix.
 
-    The seed determines the first scenario of the sample, so that the next seed selects other
-    scenarios.
+    In a quick campaign, the seed determines the first scenario of the sample. So the next seed
+    selects other scenarios.
     """
     period_ms = 1e3 / rate_hz
     selected = scenarios(hand, protocol, period_ms)
@@ -107,21 +110,21 @@ def run_campaign(
     fault_free_only: bool = False,
     seed: int = 1,
 ) -> Report:
-    """Run a campaign and return its report.
+    """Run a campaign, and return the report.
 
     Args:
         name: name of the hand.
-        protocols: protocols of the drives, one after the other.
-        rate_of: function from a hand to its control rate [Hz].
-        jobs: number of simultaneous processes.
+        protocols: drive protocols to test, one after the other.
+        rate_of: function that returns the control rate of a hand [Hz].
+        jobs: number of processes that run at the same time.
         quick: True to run only a sample of the scenarios.
-        fault_free_s: duration of the run without faults, for each protocol [s].
+        fault_free_s: simulated time of the runs without faults, for each protocol [s].
         on_progress: function called after each scenario.
-        on_failure: function called with the simulation of a failed scenario and its result.
-        row_ids: rows of the matrix to run, all if empty.
-        fault_free_only: True to run no scenarios.
-        seed: seed of the disturbed runs and of the first run without faults. Later runs count
-            up.
+        on_failure: function called with the simulation of a failed scenario, and with the result.
+        row_ids: ids of the rows of the fault matrix to run. If no ids are given, all rows are run.
+        fault_free_only: True to run only the runs without faults, and no scenarios.
+        seed: seed of the scenarios and of the first run without faults. Each later run without
+            faults has the next seed.
     """
     report = Report(name)
     for protocol in protocols:
@@ -130,7 +133,8 @@ def run_campaign(
         scenarios_to_run = [] if fault_free_only else campaign_scenarios(hand, protocol, rate, quick, row_ids, seed)
         results = report.results[protocol] = []
 
-        # The defaults bind the present values. A closure would use the values of the last protocol.
+        # The defaults bind the values of this protocol. A closure would use those of the last
+        # protocol.
         def done(
             result: ScenarioResult,
             results: list[ScenarioResult] = results,
@@ -143,24 +147,25 @@ def run_campaign(
         if scenarios_to_run:
             attempt = partial(run_scenario, protocol=protocol)
             run_experiments(hand, rate, scenarios_to_run, jobs, attempt, done, on_failure, seed)
-        # Also with `quick`: false alarms are as bad as missed faults.
+        # A quick campaign has these runs as well, because false alarms are as bad as missed faults.
         report.alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
         report.simulated_s += fault_free_s
     return report
 
 
 def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
-    """Return the false alarms in a run without faults, with increased noise and frame loss.
+    """Run a hand without faults, but with increased noise and lost frames, and return the false alarms.
 
-    The hand moves and grasps repeatedly. A run that does not reach a grasp counts as an alarm,
-    because it tests too little.
+    The hand moves and grasps repeatedly. A run that does not reach a grasp counts as a false alarm,
+    because such a run tests too little.
     """
     alarms: list[str] = []
     remaining_s = seconds
     while remaining_s > 0.0:
         with homed_run(hand, rate_hz, seed, {"noise": NOISE_FACTOR}) as simulation:
             for bus in hand.bus_names:
-                # `drop` loses frames to the host, `deaf` frames to the drives.
+                # `drop` loses frames that the drives send to the host. `deaf` loses frames that the
+                # host sends to the drives.
                 simulation.peer.inject(f"drop bus={bus} p={FRAME_LOSS} seed={seed}")
                 simulation.peer.inject(f"deaf bus={bus} p={FRAME_LOSS} seed={seed}")
             alarms_before = len(alarms)
@@ -177,5 +182,8 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
 
 
 def _is_hold_or_more(event: Event) -> bool:
-    """Return True if the reaction at the end of a fault event's text is HOLD or more severe."""
+    """Return True if the reaction to a fault is HOLD or a more severe one.
+
+    The text of the fault event ends with the reaction.
+    """
     return Action[event.text.rpartition(" ")[2]] >= Action.HOLD

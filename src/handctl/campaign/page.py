@@ -1,4 +1,4 @@
-"""Output of a campaign report as a self-contained HTML page, and as lines for a terminal."""
+"""Output of a campaign's report: as an HTML page in a single file, and as lines for a terminal."""
 
 import html
 from collections import Counter
@@ -20,7 +20,7 @@ td.n { text-align: right; font-variant-numeric: tabular-nums; } .bad { color: #b
 .bar { display: inline-block; height: .7em; background: #3b6fb6; } .bar.bad { background: #b00020; }
 """
 BAR_EM = 6.0
-"""Width of a full bar [em]."""
+"""Width of a bar for a reaction time equal to the largest allowed time [em]."""
 TABLE_HEAD = (
     "row",
     "fault",
@@ -34,13 +34,13 @@ TABLE_HEAD = (
     "tension",
     "",
 )
-"""Titles of the table's columns."""
+"""Titles of the columns in the table of scenarios."""
 TITLES = {entry.id: entry.title for entry in CATALOGUE}
-"""Title of each fault by its id."""
+"""Title of each fault in the catalogue, by fault id."""
 
 
 def write_page(path: Path, report: Report) -> None:
-    """Write a campaign report as an HTML page."""
+    """Write the report of a campaign as an HTML page."""
     figures = report.plain()
     title = f"Fault campaign: {html.escape(report.hand)}"
     head = "".join(
@@ -72,18 +72,21 @@ def write_page(path: Path, report: Report) -> None:
 
 
 def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
-    """Return, for each row, the scenario with the largest reaction time relative to its bound."""
+    """Return for each row of the matrix the scenario with the largest ratio of reaction time to bound."""
     slowest: dict[str, ScenarioResult] = {}
     for result in results:
         current = slowest.get(result.id)
         if current is None or bound_fraction(result) > bound_fraction(current):
             slowest[result.id] = result
-    # Order of the fault catalogue: bus, node, tendon, host, interface.
+    # The rows are in the order of the fault catalogue: bus, node, tendon, host, interface.
     return sorted(slowest.values(), key=lambda result: ("BNTHI".index(result.id[0]), result.id))
 
 
 def bound_fraction(result: ScenarioResult) -> float:
-    """Return the reaction time as a fraction of its bound, 9.9 without a reaction."""
+    """Return the reaction time in a scenario as a fraction of the largest allowed time.
+
+    Without a reaction the fraction is 9.9.
+    """
     return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
 
 
@@ -110,7 +113,7 @@ def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
 
 
 def summary_lines(report: Report) -> list[str]:
-    """Return the summary of a campaign as lines for a terminal."""
+    """Return the summary of a campaign's report as lines for a terminal."""
     figures = report.plain()
     summary = [
         f"{figures['scenarios']} scenarios, {figures['late']} failed, {figures['not_felt']} without effect",

@@ -1,4 +1,7 @@
-"""Run of one scenario on a simulation: inject the fault, then measure detection and reaction."""
+"""Run of one scenario on a simulated hand.
+
+The run injects the fault, and measures detection and reaction.
+"""
 
 import math
 from collections.abc import Sequence
@@ -16,38 +19,39 @@ from handctl.safety.action import Action
 from handctl.session.simulate import Simulation
 
 OBSERVE_S = 1.3
-"""Time of observation after the largest allowed reaction time, until no torque remains [s]."""
+"""Time for which a run is observed after the largest allowed reaction time, to see the torque disappear [s]."""
 RUNAWAY = "runaway"
-"""Name of the fault in which a drive pulls with the torque limit of the drive, regardless of commands."""
+"""Name of the fault of a drive that ignores all commands and pulls with the largest torque."""
 SHUT_DOWN_MODES = (Mode.DISARM, Mode.DONE)
 """Modes in which the hand shuts down."""
 PAIR_DELAY_TICKS = 5
-"""Number of ticks from the first fault of a pair to the second."""
+"""Number of ticks from the first fault of a pair to the second one."""
 PAIR_EXTRA_TICKS = 2
-"""Additional reaction time allowed for a pair of faults, for a missed tick and the next tick [ticks]."""
+"""Further reaction time allowed for a pair of faults, because of a missed tick and the next tick [ticks]."""
 
 
 @dataclass
 class ScenarioResult:
-    """Result of a scenario.
+    """Result of the run of a scenario.
 
     Attributes:
         scenario: description of the scenario.
-        id: row of the matrix.
-        stage: stage of the run.
-        effects: number of times the injected fault took effect. Without effect the test is not
-            valid.
-        ticks: number of ticks from the physical event to the frames with the reaction, -1 without a
-            reaction.
-        bound: largest allowed number of ticks.
-        detected_by: id and instance of the detected fault, empty without a detection.
-        safe_ticks: number of ticks from the event until all torque commands are zero, -1 if this
-            never happens.
-        tension: largest true tension after the event [N].
-        tension_bound: largest expected tension [N], see the function `tension_bound`. ok: True if
-            the fault took effect and was detected as one of the allowed rows, the reaction was in
-            time, no torque remained, and the tension was below its bound.
-        problem: reason why the result is not ok.
+        id: id of the scenario's row in the fault matrix.
+        stage: stage of the run at which the fault was injected.
+        effects: number of times that the injected fault took effect. Without an effect, the
+            scenario is not a valid test.
+        ticks: number of ticks from the physical event to the frames with the reaction. The number
+            is -1 without a reaction.
+        bound: largest allowed number of ticks until the reaction.
+        detected_by: id and instance of the fault that the controller reported. The text is empty if
+            nothing was detected.
+        safe_ticks: number of ticks from the physical event until all torques are zero. The number
+            is -1 if torque remains.
+        tension: largest true tension of a tendon during the scenario [N].
+        tension_bound: largest tension to expect [N], see the function `tension_bound`.
+        ok: True if the fault took effect and was detected as one of the allowed faults, the
+            reaction came in time, no torque remained, and the tension did not exceed the bound.
+        problem: reasons why the result is not ok.
     """
 
     scenario: str
@@ -64,8 +68,9 @@ class ScenarioResult:
     problem: str = ""
 
     def plain(self) -> dict[str, Any]:
-        """Return the result as plain values."""
-        # The keys are equal to the keys of the report file, which other programs read.
+        """Return the result as plain values for JSON."""
+        # The keys must stay equal to those of the report file, because other programs read this
+        # file.
         keys = {
             "effects": "felt",
             "detected_by": "found",
@@ -76,13 +81,13 @@ class ScenarioResult:
 
 
 def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> ScenarioResult:
-    """Run a scenario to the end.
+    """Run a scenario to the end, and return the result.
 
     Args:
         simulation: simulation at the stage of the scenario. The simulation cannot be used after the
             run.
         scenario: scenario to run.
-        protocol: protocol of the drives.
+        protocol: protocol that the drives of the hand use.
     """
     row = scenario.row
     bound = row.bound(protocol, simulation.period_ns / 1e6) + (PAIR_EXTRA_TICKS if scenario.second else 0)
@@ -102,7 +107,8 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
         elif i == PAIR_DELAY_TICKS and scenario.second:
             simulation.peer.inject(scenario.second)
         t_ns = (simulation.k + int(inputs.get("skip", 0))) * simulation.period_ns
-        # A host that stood still is judged from the tick in which it wakes up.
+        # If the fault stops the host for some ticks, the reaction time counts from the tick in
+        # which the host wakes up.
         start_ns = t_ns if host and i == 0 else start_ns
         out = simulation.tick(**inputs)
         _observe_tick(result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns)
@@ -120,7 +126,10 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
 
 
 def _tendon_speeds(simulation: Simulation) -> list[float]:
-    """Return the measured speed of each tendon [m/s], zero before the first tick."""
+    """Return the measured speed of each tendon, without sign [m/s].
+
+    The speed is zero before the first tick.
+    """
     if simulation.out is None:
         return [0.0] * simulation.controller.model.tendon_count
     spool = simulation.controller.model.space.spool
@@ -134,17 +143,18 @@ def tension_bound(
     speed: list[float],
     seconds: float,
 ) -> float:
-    """Return the largest tension expected from the drives and their momentum [N].
+    """Return the largest tension that the drives and their momentum can be expected to cause in a scenario [N].
 
-    Only the fault `runaway` makes a drive pull harder than commanded. With all other faults the
-    tension must stay below the trip limit, at which one sample relaxes the hand.
+    Only the fault `runaway` makes a drive pull harder than commanded. With all other faults, the
+    tension must not exceed the trip tension. A single reading above the trip tension makes the hand
+    relax.
 
     Args:
         simulation: simulation of the run.
         scenario: scenario that was run.
-        start_tension: tension of each tendon at the time of the fault [N].
-        speed: speed of each tendon at the time of the fault [m/s].
-        seconds: time until all torque commands are zero [s].
+        start_tension: tension of each tendon when the fault was injected [N].
+        speed: speed of each tendon when the fault was injected [m/s].
+        seconds: time from the fault until all torques are zero [s].
     """
     if RUNAWAY not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
         return max(*simulation.controller.limits.tension_trip, *start_tension)
@@ -159,14 +169,15 @@ def tension_bound(
 def runaway_tension(model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float) -> float:
     """Return the largest tension that a runaway drive can cause [N].
 
-    The drive accelerates the rotor (mass m at the tendon) with its force limit F against the tendon
-    (stiffness k). From the tension T the rotor overshoots to F + sqrt((F - T)^2 + k m v^2). v is
-    the speed of the rotor, plus the speed that F adds while the finger is free.
+    The drive accelerates the rotor (mass m at the tendon) with the force limit F of the drive,
+    against the stiffness k of the tendon. From the tension T, the tension overshoots to
+    F + sqrt((F - T)^2 + k m v^2). v is the speed of the rotor, plus the speed that F adds while the
+    finger moves freely.
 
     Args:
         model: model of the hand.
-        start_tension: tension of each tendon at the time of the fault [N].
-        speed: speed of each tendon at the time of the fault [m/s].
+        start_tension: tension of each tendon when the fault begins [N].
+        speed: speed of each tendon when the fault begins [m/s].
         seconds: time for which the finger moves freely [s].
     """
     space = model.space
@@ -180,7 +191,10 @@ def runaway_tension(model: HandModel, start_tension: Sequence[float], speed: Seq
 
 
 def _first_effect_ns(simulation: Simulation, host: "Host | None", start_ns: int) -> int:
-    """Return the time at which the fault first took effect [ns], -1 if not yet."""
+    """Return the time at which the fault first took effect [ns].
+
+    The time is -1 if the fault has had no effect yet.
+    """
     if host is not None:
         return start_ns
     return int(simulation.peer.fault_states()[0]["first_ns"])
@@ -194,7 +208,7 @@ def _observe_tick(
     first_effect_ns: int,
     t_ns: int,
 ) -> None:
-    """Update a result from the output of a tick."""
+    """Update the result of a scenario from the output of a tick."""
     row = scenario.row
     truth = simulation.peer.truth()
     result.tension = max(result.tension, *truth["tension"])
@@ -206,13 +220,13 @@ def _observe_tick(
         is_expected = event.text.startswith(tuple(filter(None, row.rows))) or not any(row.rows) or scenario.second
         if not result.detected_by and is_report and is_expected:
             result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
-    # A mode that is more severe than the required action is a reaction too. RELAX is not sufficient
-    # for CUT.
+    # If the required action is RELAX or more, a mode that relaxes or shuts down the hand is a
+    # reaction too. But if CUT is required, the mode RELAX is not enough.
     reacted = out.action >= row.action or (
         row.action >= Action.RELAX and out.mode in (*SHUT_DOWN_MODES, Mode.RELAX, Mode.CUT)
     )
     reacted = reacted and not (row.action == Action.CUT and out.mode == Mode.RELAX)
-    # The fault H01 is only logged, so its detection counts as the reaction.
+    # The controller only reports the fault H01, so the report counts as the reaction.
     if row.id == "H01":
         reacted = bool(result.detected_by)
     if result.ticks < 0 and reacted and (result.detected_by or not any(row.rows) or out.mode in SHUT_DOWN_MODES):
@@ -222,7 +236,7 @@ def _observe_tick(
 
 
 def _judge_result(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
-    """Set the verdict of a result and list its problems."""
+    """Complete a result with the verdict and a list of problems, and return the result."""
     problems = []
     if not result.effects:
         problems.append("the disturbance had no effect")
@@ -242,9 +256,10 @@ def _judge_result(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
 
 
 class Host:
-    """Fault of the host.
+    """Fault of the host computer, or request to the controller.
 
-    Forms: `io KIND [WHERE] [lasting]`, `skip N`, `late FRACTION`, `ask REQUEST [TIMES]`.
+    The text of a fault has one of the forms `io KIND [WHERE] [lasting]`, `skip N`, `late FRACTION`
+    and `ask REQUEST [TIMES]`.
     """
 
     def __init__(self, text: str) -> None:
@@ -252,7 +267,7 @@ class Host:
         self.verb, *self.words = text.split()
 
     def at(self, i: int, simulation: Simulation) -> dict[str, Any]:
-        """Return the arguments for the i-th tick after the start of the fault."""
+        """Return the arguments with which the simulation executes the i-th tick after the start of the fault."""
         first = i == 0
         if self.verb == "io":
             if not first and "lasting" not in self.words:

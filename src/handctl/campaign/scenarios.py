@@ -1,8 +1,8 @@
-"""Fault matrix as data: the faults, the parts they affect, stages of the run, and required reactions.
+"""Fault matrix as data: the faults, the parts of the hand they affect, the stages of the run, the required reactions.
 
-The time limit of a row counts from the physical event to the frames with the reaction. The limit is
-a number of ticks, plus milliseconds if the fault or a drive needs more time. An ODrive reports
-state every 100 ms and temperature every 200 ms.
+Each row has a time limit from the physical event to the frames with the reaction. The limit is a
+number of ticks, plus milliseconds if the fault or a drive needs more time. An ODrive, for example,
+reports its state only every 100 ms, and the temperature every 200 ms.
 """
 
 import math
@@ -23,50 +23,53 @@ CIA402 = "cia402"
 MOTEUS = "moteus"
 ROBSTRIDE = "robstride"
 ALL_PROTOCOLS = GUARDED
-"""Protocols that the matrix covers."""
+"""Drive protocols that the fault matrix covers."""
 ALL_STAGES = (ARMING, FREE, GRASP)
 MOVING_STAGES = (FREE, GRASP)
-"""Stages in which the hand moves."""
+"""Stages of a run in which the program moves the hand."""
 REPORT_DELAY_MS = {ODRIVE: 100.0}
-"""Longest delay until a drive reports its state, by protocol [ms]."""
+"""Longest delay until a drive reports a change of state, by protocol [ms]."""
 RESTART_TICKS = {CIA402: 2}
-"""Number of ticks in which a drive is silent during a restart, by protocol."""
+"""Number of ticks in which a drive that restarts is silent, by protocol."""
 MIN_LATE_MS = 7.0
-"""Smallest value of the place holder {late} [ms]."""
+"""Smallest value that the place holder {late} in a fault text gets [ms]."""
 MIN_LATE_TICKS = 1.5
-"""Smallest value of the place holder {late}, in control periods."""
+"""Smallest value that the place holder {late} in a fault text gets [control periods]."""
 JUMP_RAD = 1.0
-"""Position step impossible for any drive within two periods [rad]."""
+"""Step of the position that no drive can make within two control periods [rad]."""
 JUMP_MS = 5.0
-"""Control period above which the position step grows in proportion to the period [ms]."""
+"""Control period above which the impossible position step grows in proportion to the period [ms]."""
 NOISE_RAD = 0.04
-"""Position noise impossible for any drive within a period [rad]."""
+"""Noise of the position that no drive can cause by motion within a control period [rad]."""
 NOISE_MS = 5.0
-"""Control period above which the position noise grows with the square of the period [ms]."""
+"""Control period above which the impossible position noise grows with the square of the period [ms]."""
 MAX_READABLE_TRIP_N = 0.9 * TENSION_RAIL_N
-"""Largest trip tension that can be distinguished from a saturated load cell (T06) [N]."""
+"""Largest trip tension that a load cell can read without looking saturated (fault T06) [N]."""
 HOST_PREFIX = "host "
-"""Prefix of faults of the host: I/O events, missed ticks, requests."""
+"""Prefix of the fault texts that concern the host: I/O events, missed ticks, requests."""
 
 
 class MatrixRow(NamedTuple):
     """Row of the fault matrix.
 
     Attributes:
-        id: row of the fault catalogue.
-        fault: command for the simulator, or text that begins with HOST_PREFIX. Place holders for
-            the instance: {node}, {tendon}, {digit}, {bus} or {joint}, and {other} for the next
-            motor. Place holders for sizes: {trip} and {limit} for a tendon's tension_trip_N and
-            drive_limit_N, {late} for a delay that is late at the control rate [ms], {jump} and
-            {rough} for a step and for noise that no drive makes at the control rate [rad].
-        action: weakest reaction that is sufficient.
-        ticks: time limit [control periods], to which ``ms`` is added.
+        id: id of the fault in the fault catalogue.
+        fault: command for the simulator, or text that begins with HOST_PREFIX. The text may have
+            place holders for the affected instance: {node}, {tendon}, {digit}, {bus} or {joint},
+            and {other} for the next motor. Other place holders stand for sizes. {trip} and {limit}
+            are a tendon's tension_trip_N and drive_limit_N. {late} is a delay that is late at the
+            control rate [ms]. {jump} and {rough} are a step and a noise that no drive can make at
+            the control rate [rad].
+        action: weakest reaction to the fault that is sufficient.
+        ticks: time limit for the reaction [control periods]. ``ms`` is added to this limit.
         ms: addition to the time limit ``ticks`` [ms].
-        rows: prefixes of fault ids accepted as a detection, the row's own fault first.
-        stages: stages of the runs.
-        protocols: protocols of the runs.
-        extra_ms: further time that a protocol needs [ms].
-        extra_ticks: further ticks that a protocol needs, in addition to ``extra_ms``.
+        rows: prefixes of the fault ids that are accepted as a detection. The row's own fault comes
+            first.
+        stages: stages of a run in which the fault is tested.
+        protocols: drive protocols with which the fault is tested.
+        extra_ms: further time that some protocols need, by protocol [ms].
+        extra_ticks: further ticks that some protocols need, by protocol. These ticks are added to
+            ``extra_ms``.
     """
 
     id: str
@@ -81,19 +84,19 @@ class MatrixRow(NamedTuple):
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
 
     def bound(self, protocol: str, period_ms: float) -> int:
-        """Return the time limit for the drives of a protocol [ticks]."""
+        """Return the time limit of the row for drives of a given protocol [ticks]."""
         extra = self.extra_ticks.get(protocol, 0)
         return self.ticks + extra + math.ceil((self.ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
 
 
 class Scenario(NamedTuple):
-    """Row of the matrix with a fault instance and a stage.
+    """Row of the fault matrix, for one instance of the fault and one stage of the run.
 
     Attributes:
-        row: row of the matrix.
-        fault: fault text of the row, with the instance filled in.
-        stage: stage of the run.
-        second: second fault of a pair, empty for single faults.
+        row: row of the fault matrix.
+        fault: fault text of the row, in which the place holders are filled in.
+        stage: stage of the run at which the fault is injected.
+        second: text of the second fault of a pair. The text is empty for a single fault.
     """
 
     row: MatrixRow
@@ -103,12 +106,12 @@ class Scenario(NamedTuple):
 
     @property
     def id(self) -> str:
-        """Return the id of the row."""
+        """Return the id of the scenario's row."""
         return self.row.id
 
     @property
     def name(self) -> str:
-        """Return a description for reports."""
+        """Return a description of the scenario for reports."""
         return f"{self.row.id} {self.fault}" + (f" + {self.second}" if self.second else "") + f", {self.stage}"
 
 
@@ -117,14 +120,14 @@ HOLD = Action.HOLD
 RELAX = Action.RELAX
 CUT = Action.CUT
 ONE_ANSWER = (MIT, CIA402, MOTEUS, ROBSTRIDE)
-"""Protocols whose drives send exactly one answer per command."""
+"""Protocols whose drives send exactly one answer to each command."""
 CONFIRMING = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
-"""Protocols in which a host detects a deaf drive, and reads its temperature."""
+"""Protocols with which the host can read the temperature of a drive, and detect that a drive receives no commands."""
 SHORT_IDS = (MIT, ODRIVE, CIA402)
 """Protocols whose drives answer with 11-bit identifiers."""
 
 _EXCHANGED = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
-"""Rows that may detect exchanged drives earlier than N17, in motion or at unequal tensions."""
+"""Faults that may be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
 
 MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, rows=("B01", "N02"), stages=ALL_STAGES),
@@ -188,9 +191,11 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N11", "error node={node} size=60", CUT, 2, rows=("N11b",), protocols=(MOTEUS,)),
     MatrixRow("N11", "error node={node} size=0x4000", CUT, 2, rows=("N11b",), protocols=(ROBSTRIDE,)),
     MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
-    # Torque limit and watchdog are in every command. The lost position limits remove torque, which N14 finds.
+    # Every command of this protocol contains torque limit and watchdog. The position limits, which
+    # the drive forgets, remove its torque. N14 detects this.
     MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14"), protocols=(MOTEUS,)),
-    # A restart before the first answer to the enable command looks like a lost command. Lost settings show it.
+    # A restart before the first answer to the enable command looks like a lost command. The lost
+    # settings reveal it.
     MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING,), (MOTEUS,)),
     MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, rows=("B06", "N13"), protocols=ONE_ANSWER),
     MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONE_ANSWER),
@@ -207,7 +212,7 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED),
         protocols=ONE_ANSWER),
     MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED), protocols=ONE_ANSWER),
-    # In a grasp at rest, the velocity limit of an ODrive hides an exchange.
+    # In a grasp at rest, the velocity limit of ODrive drives hides that two of them are exchanged.
     MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED), (FREE,), (ODRIVE,)),
     MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED), (FREE,), (ODRIVE,)),
     MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, rows=("T01",), stages=(GRASP,)),
@@ -238,10 +243,13 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("H13", "foreign node={node}", RELAX, 2, rows=("H13",), stages=ALL_STAGES),
     MatrixRow("I07", HOST_PREFIX + "ask nonsense 3", RELAX, 1, rows=("I07b",)),
 )  # fmt: skip
-"""All rows that the simulator or the control loop can inject while the hand is armed."""
+"""Rows for all faults that the simulator or the control loop can inject while the hand is armed."""
 
 PAIRED_ROWS = ("B01", "B02", "B03", "B17", "N01", "N02", "N08", "N11", "T01", "T04", "T06", "H02")
-"""Faults that are also run in pairs: wires, connectors, supply, tendons, busy host."""
+"""Ids of the faults that are also tested in pairs.
+
+The faults concern wires, connectors, supply, tendons and a busy host.
+"""
 UNTESTED_ROWS = {
     "B18": "before arming: unit tests with error frames", "N03": "before arming: tests of the modes",
     "T07": "commissioning: its own tests",
@@ -250,11 +258,11 @@ UNTESTED_ROWS = {
     "H12": "real processes",
     "H14": "real processes", "H15": "the soak",
 }  # fmt: skip
-"""Rows of sections 2.1 to 2.4 of the fault catalogue that are not in the matrix, with the place of their tests."""
+"""Faults in sections 2.1 to 2.4 of the fault catalogue that the matrix lacks, with the place where each is tested."""
 
 
 def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
-    """Return the scenarios of every row on the first and last instance, in all stages of the row.
+    """Return the scenarios of every row of the matrix: on the first and the last instance, in all stages of the row.
 
     Args:
         hand: hand that is simulated.
@@ -271,17 +279,17 @@ def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
 
 
 def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
-    """Return all pairs of the rows for pairs, in a grasp.
+    """Return a scenario in a grasp for every pair of the faults in `PAIRED_ROWS`.
 
-    The fault with the more severe reaction is first. The other fault starts a few ticks later on
-    another instance. A row whose instance is missing from the hand, such as a load cell, has no
-    pair. `period_ms` is the control period [ms].
+    The fault with the more severe reaction comes first. The other fault starts a few ticks later,
+    on another instance. If the hand has no instance for a fault, such as a load cell, there are no
+    pairs with this fault. `period_ms` is the control period [ms].
     """
     rows = [next(row for row in MATRIX if row.id == id_ and protocol in row.protocols) for id_ in PAIRED_ROWS]
     selected = []
     for i, first in enumerate(rows):
         for second in rows[i + 1 :]:
-            # The pair must have the more severe reaction of its two faults.
+            # The controller must react to a pair as to the more severe of its two faults.
             main, other = (first, second) if first.action >= second.action else (second, first)
             texts = texts_of_fault(hand, main.fault, period_ms)
             second_texts = texts_of_fault(hand, other.fault, period_ms)
@@ -291,7 +299,10 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
 
 
 def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
-    """Return the text of a fault for each instance of the hand, empty if the hand has no such instance."""
+    """Return the text of a fault for each instance that the hand has.
+
+    The list is empty if the hand has no such instance.
+    """
     if fault.startswith(HOST_PREFIX):
         return [fault]
     sizes = {
@@ -306,7 +317,7 @@ def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
 def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     """Return the values of the place holders for each instance of a fault.
 
-    A fault without a place holder has one instance.
+    A fault without a place holder for an instance has one instance.
     """
     if "{tendon}" in fault:
         limited = "{trip}" in fault or "{limit}" in fault
@@ -319,7 +330,8 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
             }
             for tendon in hand.tendon
             if not of_cell or tendon.name in hand.sensor_node.tendons
-            # A trip tension near the rail of the load cell would be reported as saturation.
+            # The controller would report a trip tension near the rail of the load cell as
+            # saturation.
             if not limited or tendon.tension_trip_N < MAX_READABLE_TRIP_N
         ]
     if "{other}" in fault:

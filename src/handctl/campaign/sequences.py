@@ -1,15 +1,19 @@
-"""Random sequences of faults, and rules that must be kept for any order of faults.
+"""Random sequences of faults, and rules that the controller must keep for any order of faults.
 
-The matrix tests that each fault is detected in time. A sequence has several temporary or permanent
-faults one after the other, on any instance and in any stage, with requests in between.
+The fault matrix tests that each single fault is detected in time. A sequence has several temporary
+or permanent faults one after the other, on any instance and in any stage. Requests may come between
+them.
 
 Rules:
 
-- No tick raises an exception. - The mode never goes back. - A latched fault stays latched until a
-clear request. - No setpoint rises while the hand relaxes. - No tendon exceeds its trip tension.
-After a runaway drive the limit is the tension expected from the drive and its momentum. - A stop
-ends the run without torque, or asks the operator to remove the power. - The same inputs lead to the
-same states.
+- No tick raises an exception.
+- The mode of the hand never goes back to an earlier one.
+- A latched fault stays latched until a request clears the fault.
+- No setpoint rises while the hand relaxes.
+- No tendon exceeds the trip tension. If a sequence has a runaway drive, the limit is the tension
+  that the drive and the momentum of the rotor can cause.
+- A stop ends the run without torque, or asks the operator to remove the power.
+- The same inputs lead to the same states.
 """
 
 import random
@@ -29,18 +33,18 @@ from handctl.runtime.mailbox import CLEAR, STOP
 from handctl.session.simulate import Simulation
 
 SEQUENCE_TICKS = 200
-"""Length of a sequence [ticks]."""
+"""Length of a sequence, after which the hand is stopped [ticks]."""
 MIN_FAULTS = 2
 MAX_FAULTS = 6
-"""Largest number of faults of a sequence."""
+"""Largest number of faults in a sequence."""
 BRIEF_MS = (5, 200)
 """Shortest and longest duration of a fault that ends by itself [ms]."""
 PERMANENT_FAULTS = ("snap", "slack")
-"""Faults that never end by themselves."""
+"""Names of the faults that never end by themselves."""
 HOST_STEP_FRACTION = 0.2
-"""Fraction of the steps that are requests or faults of the host."""
+"""Fraction of the steps of sequences that are requests or faults of the host."""
 BRIEF_FRACTION = 0.6
-"""Fraction of the simulator's faults that end by themselves."""
+"""Fraction of the other steps, faults that the simulator injects, that end by themselves."""
 HOST_STEPS = (
     f"{HOST_PREFIX}ask stop",
     f"{HOST_PREFIX}ask clear",
@@ -48,23 +52,26 @@ HOST_STEPS = (
     f"{HOST_PREFIX}skip 3",
     f"{HOST_PREFIX}late 0.3",
 )
-"""Requests and faults of the host, from which a sequence draws."""
+"""Requests and faults of the host that a sequence may contain."""
 SHUTDOWN_S = 2.5
-"""Time to observe after the stop, for relaxing, disarming, their timeouts, and an ODrive's heartbeat [s]."""
+"""Time for which a run is observed after the stop [s].
+
+The time covers relaxing, disarming, the timeouts of both, and the heartbeat of an ODrive.
+"""
 WATCHDOG_S = 0.05
 """Time without a command after which a drive disables itself [s]."""
 REACTION_TICKS = 10
-"""Ticks until the controller stops commanding a runaway drive."""
+"""Largest number of ticks after which the controller no longer commands a runaway drive."""
 MODES_IN_ORDER = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
-"""Modes in the order of a run."""
+"""Modes of the hand, in the order of a run."""
 
 
 class FaultStep(NamedTuple):
-    """Fault in a sequence.
+    """Fault or request in a sequence.
 
     Attributes:
-        tick: tick of the fault, counted from the stage.
-        fault: text for the simulator or the host.
+        tick: tick of the fault or request, counted from the start of the sequence.
+        fault: text of the fault for the simulator, or text for `Host`.
     """
 
     tick: int
@@ -77,7 +84,7 @@ class Sequence(NamedTuple):
     Attributes:
         seed: seed from which the sequence was drawn.
         stage: stage of the run at which the sequence begins.
-        steps: faults in the order of their ticks.
+        steps: faults and requests in the order of their ticks.
     """
 
     seed: int
@@ -86,22 +93,25 @@ class Sequence(NamedTuple):
 
     @property
     def id(self) -> str:
-        """Return the id for reports. A sequence does not belong to a row of the matrix."""
+        """Return the id for reports.
+
+        All sequences have the same id, because no sequence belongs to a row of the fault matrix.
+        """
         return "sequence"
 
     @property
     def name(self) -> str:
-        """Return a description for reports."""
+        """Return a description of the sequence for reports."""
         return f"seed {self.seed}, {self.stage}: " + "; ".join(f"{step.tick}: {step.fault}" for step in self.steps)
 
 
 def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Sequence:
-    """Draw the sequence of a seed.
+    """Draw the random sequence that belongs to a seed.
 
     The result depends only on the seed, the hand, the protocol and the control period [ms].
     """
     chance = random.Random(f"sequence {seed}")
-    # Every row has the same probability, independent of its number of instances.
+    # Every row of the matrix has the same probability, no matter how many instances it has.
     rows = [row for row in MATRIX if protocol in row.protocols]
     count = chance.randint(MIN_FAULTS, MAX_FAULTS)
     steps = []
@@ -129,16 +139,16 @@ def run_sequences(
     on_progress: Callable[[int], None],
     on_failure: Callable[[Simulation, ScenarioResult], None],
 ) -> list[ScenarioResult]:
-    """Run sequences, each in a copy of a run at the sequence's stage.
+    """Run sequences and return their results. Each runs in a copy of a run that has reached the sequence's stage.
 
     Args:
-        hand: hand with its drives in `protocol`.
-        protocol: protocol of the drives.
+        hand: hand whose drives use `protocol`.
+        protocol: drive protocol.
         rate_hz: control rate [Hz].
         seeds: seeds of the sequences.
-        jobs: number of simultaneous processes.
+        jobs: number of processes that run at the same time.
         on_progress: function called with the number of finished sequences.
-        on_failure: function called with the simulation in which a rule was violated, and the
+        on_failure: function called with a simulation in which a rule was violated, and with the
             result.
     """
     sequences = [draw_sequence(hand, protocol, 1e3 / rate_hz, seed) for seed in seeds]
@@ -153,7 +163,7 @@ def run_sequences(
 
 
 def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
-    """Run a sequence, stop the hand, and return the violated rules.
+    """Run a sequence, stop the hand, and return the result with the violated rules.
 
     Args:
         simulation: simulation at the stage of the sequence. The simulation cannot be used after the
@@ -190,9 +200,9 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
 
 
 def _sequence_ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict[str, Any]]:
-    """Yield the inputs of each tick, and inject the faults of the simulator when due.
+    """Yield the inputs of each tick, and inject the simulator's faults in the planned ticks.
 
-    The stop request is at the end of the sequence.
+    At the end of the sequence, the inputs have a stop request.
     """
     host_faults: list[tuple[int, Host]] = []
     for i in range(SEQUENCE_TICKS + round(SHUTDOWN_S * 1e9 / simulation.period_ns)):
@@ -209,7 +219,7 @@ def _sequence_ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict
 
 
 def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
-    """Return a description of each rule that a tick violates."""
+    """Return a text for each rule that a tick violates."""
     violations = []
     if MODES_IN_ORDER.index(after.mode) < MODES_IN_ORDER.index(before.mode):
         violations.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
@@ -218,18 +228,20 @@ def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
         violations.append(f"no longer latched: {', '.join(sorted(mark.id for mark in unlatched))}")
     if before.mode == after.mode == Mode.RELAX and np.any(after.view("setpoint") > before.view("setpoint") + 1e-9):
         violations.append("a setpoint rises while the hand relaxes")
-    # The relative tolerance covers the rounding of the torque in the frames.
+    # The relative tolerance covers the rounding of torques in the CAN frames.
     if after.mode == Mode.RELAX and np.any(after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)):
         violations.append("a motor is commanded to pull harder while the hand relaxes")
     return violations
 
 
 def _tension_bound(simulation: Simulation, sequence: Sequence, start_tension: list[float]) -> float:
-    """Return the largest expected tension [N].
+    """Return the largest tension to expect in a sequence [N].
 
-    A runaway drive acts on a slack tendon until its watchdog has fired.
+    A runaway drive is assumed to start with a slack tendon, and to pull until the watchdog of the
+    drive has fired.
     """
-    # Without a runaway drive the bound is the trip tension, or the tension at the start.
+    # Without a runaway drive, the bound is the largest trip tension, or the tension at the start if
+    # it is larger.
     limits = simulation.controller.limits
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY) for step in sequence.steps):
@@ -239,7 +251,7 @@ def _tension_bound(simulation: Simulation, sequence: Sequence, start_tension: li
 
 
 def violations_at_end(simulation: Simulation) -> list[str]:
-    """Return a description of each rule that the end of a run violates."""
+    """Return a text for each rule that the end of a run violates."""
     state = simulation.state
     names = simulation.controller.model.hand.tendon_names
     if state.mode != Mode.DONE:
@@ -249,7 +261,10 @@ def violations_at_end(simulation: Simulation) -> list[str]:
 
 
 def violations_on_replay(simulation: Simulation, state: State, first: int) -> list[str]:
-    """Return the first tick whose state, frames, or events differ when the inputs are executed again."""
+    """Execute the inputs again.
+
+    Return a text about the first tick whose state, frames or events differ, if there is one.
+    """
     for entry, out in simulation.recorded[first:]:
         state, replayed = simulation.controller.tick(state, entry)
         if (replayed.state_hash, replayed.frames, replayed.events) != (

@@ -1,6 +1,6 @@
-"""Hands with each protocol, and runs at each stage.
+"""Simulated hands with each drive protocol, and runs that have reached each stage.
 
-Scenarios branch off from these runs as processes.
+The processes in which scenarios run branch off from these runs.
 """
 
 import json
@@ -28,9 +28,9 @@ from handctl.session.plan import highest_rate_of_buses
 from handctl.session.simulate import Simulation, Simulator
 
 FIRST_NODE = 0x10
-"""Node id of the first motor, if the protocol differs from the hand file."""
+"""Node id of the first motor in a hand whose drives have been replaced."""
 DATA_BITRATE = 5_000_000
-"""Data bit rate of the buses of a hand with drives that need CAN FD [bit/s]."""
+"""Bit rate of the data phase on the buses of a hand whose drives need CAN FD [bit/s]."""
 SLOWEST_HZ = 200.0
 """Lowest control rate at which the controller reacts to every fault within its bound [Hz]."""
 SPLIT_HZ = 250.0
@@ -44,17 +44,17 @@ TASK: dict[str, Any] = {
         {"kind": "hold", "tension_N": 24.0, "rate_N_per_s": 30.0, "duration_s": 60.0},
     ],
 }
-"""Task of all runs: a free motion, then a grasp that is held for the rest of the run."""
+"""Task that the hand executes in all runs: a free motion, then a grasp that is held for the rest of the run."""
 STAGES = (ARMING, FREE, GRASP)
-"""Stages of a run in order of time."""
+"""Stages of a run in the order of time."""
 FAULT_DELAY_S = 0.2
-"""Time after the start of the free motion at which faults begin [s]."""
+"""Time from the start of the free motion to the stage FREE, at which faults are injected [s]."""
 STAGE_TIMEOUT_S = 12.0
-"""Longest time to the next stage [s]."""
+"""Longest simulated time until a run reaches the next stage [s]."""
 
 
 def hand_with_protocol(name: str, protocol: str) -> Hand:
-    """Return a hand whose drives all use one protocol."""
+    """Return a packaged hand in which all drives use the given protocol."""
     hand = load_hand(name)
     if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
         return hand
@@ -62,10 +62,12 @@ def hand_with_protocol(name: str, protocol: str) -> Hand:
 
 
 def with_drives(hand: Hand, protocol: str) -> Hand:
-    """Return a hand with the drives of its motors replaced, and with CAN FD on each bus if the protocol needs it.
+    """Return a hand whose drives are replaced by those of a protocol.
 
-    The motors of a hand with a single bus are distributed over more buses if the frames of the new
-    drives would allow less than ``SLOWEST_HZ``.
+    The buses use CAN FD if the protocol needs CAN FD.
+
+    If the frames of the new drives would allow less than ``SLOWEST_HZ`` on the only bus of a hand, its
+    motors are distributed over more buses.
     """
     traits = PROTOCOLS[protocol]
     motors = tuple(
@@ -109,14 +111,14 @@ def homed_run(
     perturb: dict[str, float] | None = None,
     task: dict[str, Any] = TASK,
 ) -> Iterator[Simulation]:
-    """Yield a run at the start: a homed hand in a scene with a cylinder.
+    """Yield a simulated run at its start: a homed hand in a scene with a cylinder.
 
     Args:
         hand: hand to simulate.
         rate_hz: control rate [Hz].
         seed: seed of the simulator's noise.
-        perturb: factors for the parameters of the simulated plant.
-        task: task whose first phase is a move.
+        perturb: factors by which parameters of the simulated plant are multiplied, by name.
+        task: task to execute, whose first phase must be a move.
     """
     angles = dict.fromkeys(hand.digit_names, 25.0)
     phases = [dict(phase) for phase in cast(list[dict[str, Any]], task["phase"])]
@@ -128,10 +130,10 @@ def homed_run(
 
 
 def advance_to(simulation: Simulation, stage: str) -> None:
-    """Advance a run to a stage.
+    """Simulate a run up to a given stage.
 
     Raises:
-        ConfigError: The run does not reach the stage, so this hand cannot be tested.
+        ConfigError: the run does not reach the stage, so this hand cannot be tested.
     """
     free_ticks = 0
 
@@ -139,7 +141,8 @@ def advance_to(simulation: Simulation, stage: str) -> None:
         nonlocal free_ticks
         if stage == ARMING:
             return bool(out.mode == Mode.ARMING)
-        # In a grasp at least one digit is in contact, and some tendon is above 16 N.
+        # A run has reached the grasp if at least one digit is in contact and a tendon has at least
+        # 16 N.
         free_ticks += out.phase == "free"
         free = free_ticks * simulation.period_ns > FAULT_DELAY_S * 1e9
         holds = out.phase == "hold" and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
@@ -155,16 +158,19 @@ def advance_to(simulation: Simulation, stage: str) -> None:
 
 
 class Experiment(Protocol):
-    """Scenario of the matrix or sequence that branches off from a stage."""
+    """Scenario of the fault matrix or random sequence that branches off from a run at a stage."""
 
     @property
     def name(self) -> str:
-        """Return the description for reports."""
+        """Return the description of the experiment for reports."""
         ...
 
     @property
     def id(self) -> str:
-        """Return the id of the row."""
+        """Return the id of the experiment for reports.
+
+        A scenario has the id of a row of the fault matrix.
+        """
         ...
 
     @property
@@ -186,9 +192,9 @@ def run_experiments(
     on_failure: Callable[[Simulation, ScenarioResult], None],
     seed: int = 0,
 ) -> None:
-    """Advance a run to each stage, and run the experiments of this stage in branches.
+    """Simulate a run up to each stage, and run the experiments that begin at this stage as branches of the run.
 
-    See `run_in_branches`.
+    See `run_in_branches` for the arguments.
     """
     with homed_run(hand, rate_hz, seed) as simulation:
         for stage in STAGES:
@@ -206,19 +212,18 @@ def run_in_branches(
     on_result: Callable[[ScenarioResult], None],
     on_failure: Callable[[Simulation, ScenarioResult], None],
 ) -> None:
-    """Run experiments, each in a copy of this process.
+    """Run experiments, each in a forked copy of this process.
 
-    A copy begins with the present state of the simulation, so that the run up to the stage is
+    Each copy begins with the present state of the simulation. So the run up to the stage is
     simulated only once for all experiments.
 
     Args:
         simulation: simulation at the stage of the experiments. The simulation stays unchanged.
         todo: experiments to run.
-        jobs: number of processes at a time.
-        attempt: function that runs an experiment in the copy.
-        on_result: function called with each result.
-        on_failure: function called in the copy of a failed experiment, with its simulation and
-            result.
+        jobs: number of copies that run at the same time.
+        attempt: function that runs an experiment in a copy and returns the result.
+        on_result: function called in this process with each result.
+        on_failure: function called in the copy of a failed experiment, with simulation and result.
     """
     running: dict[int, tuple[int, T]] = {}
     waiting = list(todo)
@@ -240,7 +245,7 @@ def run_in_branches(
 
 
 def _run_one(attempt: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]) -> str:
-    """Run an experiment, call `on_failure` after a failure, and return the result as JSON."""
+    """Run an experiment, call `on_failure` if the result is not ok, and return the result as JSON."""
     result = attempt()
     if not result.ok:
         on_failure(result)
@@ -248,7 +253,7 @@ def _run_one(attempt: Callable[[], ScenarioResult], on_failure: Callable[[Scenar
 
 
 def _read_result(reading: int, experiment: Experiment, status: int) -> ScenarioResult:
-    """Read the result from the pipe of a finished copy."""
+    """Read the result of an experiment from the pipe of the copy that has ended with `status`."""
     with os.fdopen(reading) as pipe:
         text = pipe.read()
     if status or not text:

@@ -1,4 +1,4 @@
-"""``python -m handctl.cli``: the same as ``handctl``."""
+"""Program ``python -m handctl.cli``, the same as the command ``handctl``."""
 
 import sys
 

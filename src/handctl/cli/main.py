@@ -1,10 +1,10 @@
-# PYTHON_ARGCOMPLETE_OK: a shell with global completion asks this program
-"""Entry point and table of verbs.
+# PYTHON_ARGCOMPLETE_OK: this mark tells a shell with global completion to ask this program
+"""Entry point of the command line, and table of the commands. This module calls the commands verbs.
 
-The arguments of a verb are declared in ``arguments`` of its folder. The code is in the module with
-the name of the verb.
+The module ``arguments`` of a folder declares the arguments of all verbs in the folder. The code of
+a verb is in the module with the name of the verb.
 
-Help texts and errors in the arguments need only the import of ``arguments``, so that they appear
+To show a help text or an error in the arguments, only ``arguments`` is imported. So both appear
 fast.
 """
 
@@ -31,11 +31,11 @@ from handctl.session.exit_codes import ExitCode
 
 
 class Group(NamedTuple):
-    """Verbs for a common purpose.
+    """Verbs of the command line that have a common purpose.
 
     Attributes:
-        title: purpose, as a heading in the help.
-        verbs: name and one line of help of each verb.
+        title: common purpose, a heading in the help.
+        verbs: one line of help for each verb, by name.
     """
 
     title: str
@@ -92,13 +92,13 @@ GROUPS = {
 }
 """Groups of verbs by the folder of their modules."""
 VERBS = {name: text for group in GROUPS.values() for name, text in group.verbs.items()}
-"""One line of help by verb."""
+"""One line of help for each verb, by name."""
 FOLDERS = {folder: tuple(group.verbs) for folder, group in GROUPS.items()}
-"""Verbs by the folder of their modules."""
+"""Names of the verbs in each group, by the folder of their modules."""
 RECORDING_VERBS = ("run", "commission", "demo")
-"""Verbs that record a run, unless ``--dry-run`` is given."""
+"""Verbs that record a run if ``--dry-run`` is not given."""
 VERBOSITY_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}
-"""Options that are also allowed before the verb."""
+"""Options that are also allowed before the verb of a command line."""
 
 EPILOG = """exit codes:
   0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power,
@@ -113,16 +113,16 @@ example:
 FILE_NAME_ERRORS = {
     errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENOTEMPTY, errno.ENAMETOOLONG, errno.ELOOP,
 }  # fmt: skip
-"""Error numbers caused by a wrong file name from the user.
+"""Error numbers of failures that a wrong file name from the user causes.
 
-Other failures of a file are caused by the machine.
+The machine causes all other failures of a file.
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``handctl`` with a command line.
 
-    An exception becomes one line of text and an exit code.
+    An error becomes a message of one line and an exit code.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
@@ -135,7 +135,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_and_report_errors(words: list[str]) -> int:
-    """Run a command line, print its error, and return its exit code."""
+    """Run a command line, print the error if there is one, and return the exit code."""
     try:
         with terminate_on_signals():
             check_words(words)
@@ -167,7 +167,10 @@ def _run_and_report_errors(words: list[str]) -> int:
 
 
 def _run_command_line(words: list[str]) -> int:
-    """Run a command line, and return its exit code. Errors are raised as exceptions."""
+    """Run a command line, and return the exit code.
+
+    Errors of the verb pass through as exceptions.
+    """
     while words[1:] and words[0] in VERBOSITY_OPTIONS and words[1] in VERBS.keys() | VERBOSITY_OPTIONS:
         words = [words[1], words[0], *words[2:]] if words[1] in VERBS else words[1:]
     if words and words[0] in VERBS:
@@ -191,7 +194,7 @@ def _run_command_line(words: list[str]) -> int:
 
 
 def _verb_table() -> str:
-    """Return the verbs in their groups, for the help."""
+    """Return the text of the help that lists the verbs in their groups."""
     lines: list[str] = []
     for group in GROUPS.values():
         lines.append(f"{group.title}:")
@@ -207,7 +210,7 @@ def _version_text() -> str:
 
 
 def _folder_of(name: str) -> str:
-    """Return the folder of the module of a verb."""
+    """Return the folder that has the module of a verb."""
     return next(folder for folder, verbs in FOLDERS.items() if name in verbs)
 
 
@@ -236,7 +239,7 @@ def parser_of_all_verbs() -> Parser:
 
 
 def _run_verb(name: str, words: list[str]) -> int:
-    """Run one verb and return its exit code."""
+    """Run one verb, and return the exit code."""
     args = verb_parser(name).parse_args(words)
     with use_verbosity(args):
         require_extra(name, *optional_packages(name, args))
@@ -256,14 +259,14 @@ def _run_verb(name: str, words: list[str]) -> int:
 
 
 def _start_recorder_early() -> AbstractContextManager[None]:
-    """Start the recorder process early, so that its imports run at the same time as the imports of this process."""
+    """Start the recorder process early. Then both processes import modules at the same time."""
     from handctl.log.write.child import process_ahead  # a verb without a run needs no subprocess
 
     return process_ahead()
 
 
 def _import_verb(name: str) -> Any:
-    """Import the module of a verb."""
+    """Import and return the module of a verb."""
     module = f"handctl.cli.{_folder_of(name)}.{name}"
     if module in sys.modules:
         return sys.modules[module]
@@ -273,9 +276,10 @@ def _import_verb(name: str) -> Any:
 
 @contextmanager
 def _pause_garbage_collection() -> Iterator[None]:
-    """Disable garbage collection during imports.
+    """Disable garbage collection in a block that imports modules.
 
-    Imports create many permanent objects. ``gc.freeze`` excludes these objects from later collections.
+    Imports create many objects that are never freed. ``gc.freeze`` excludes them from later
+    collections.
     """
     enabled = gc.isenabled()
     gc.disable()

@@ -1,4 +1,4 @@
-"""Python client for a running hand, see ``docs/how-to/python.md``."""
+"""Python client of a running hand, explained in ``docs/how-to/python.md``."""
 
 from handctl.client.async_hand import AsyncHandClient, AsyncTargetStream, connect_async
 from handctl.client.fingertips import Fingertips, FingertipStream

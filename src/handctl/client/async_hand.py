@@ -1,4 +1,4 @@
-"""Client of a hand for asyncio: the calls of ``HandClient`` as coroutines."""
+"""Client of a hand for asyncio. The client offers the calls of ``HandClient`` as coroutines."""
 
 import asyncio
 import os
@@ -15,39 +15,45 @@ from handctl.programs.streams import StreamStatus
 from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S
 
 POLL_OBSERVATION_S = 0.5e-3
-"""Pause between two reads of the shared memory [s]. The event loop runs other tasks meanwhile."""
+"""Pause between two reads of the shared memory with observations [s].
+
+The event loop runs other tasks meanwhile.
+"""
 
 
 class AsyncHandClient:
-    """Client of one hand for asyncio. Use it with ``async with``.
+    """Client of one hand for asyncio. Use the client with ``async with``.
 
-    Every method does the same as the method of ``HandClient`` with this name, and raises the same
-    errors. A thread makes the call, so that other tasks continue. ``observe`` returns at once and
-    is no coroutine. If a waiting task is cancelled, the hand keeps its goal: ``hold`` brings it to
-    rest.
+    Every method does the same as the method of ``HandClient`` with the same name, and raises the
+    same errors. A thread makes the call, so that other tasks of the event loop continue.
+    ``observe`` is no coroutine, because this method returns at once. If a waiting task is
+    cancelled, the hand keeps the present goal. A call of ``hold`` then brings the hand to rest.
 
     Attributes:
-        client: the client whose methods are called.
+        client: the ``HandClient`` whose methods are called.
     """
 
     def __init__(self, client: HandClient) -> None:
-        """Use a client that is not open yet. Use ``connect_async`` instead."""
+        """Wrap a client that is not open yet. Programs call ``connect_async`` instead."""
         self.client = client
 
     async def __aenter__(self) -> Self:
-        """Wait until the hand accepts goals."""
+        """Wait until the hand accepts goals, and return the client."""
         await asyncio.to_thread(self.client.open)
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the client. After an exception, also a cancellation, the end of the run raises no second one."""
+        """Close the client.
+
+        After an exception or a cancellation, a fault that ended the run raises no second exception.
+        """
         await asyncio.shield(asyncio.to_thread(self.client.__exit__, kind, error, trace))
 
     @property
     def result(self) -> dict[str, Any]:
-        """Return the output of a run started here, after its end."""
+        """Return the output of a run that this client has started, after the end of the run."""
         return self.client.result
 
     @property
@@ -73,7 +79,7 @@ class AsyncHandClient:
         return await asyncio.to_thread(self.client.grasp, task, wait, timeout_s)
 
     async def release(self, wait: bool = True, timeout_s: float = 30.0) -> None:
-        """End the hold phase of ``grasp``, see ``HandClient.release``."""
+        """End the hold phase that ``grasp`` reached, see ``HandClient.release``."""
         await asyncio.to_thread(self.client.release, wait, timeout_s)
 
     async def take_over(self) -> None:
@@ -81,17 +87,17 @@ class AsyncHandClient:
         await asyncio.to_thread(self.client.take_over)
 
     async def stop(self) -> None:
-        """Relax and disarm the hand and end the run."""
+        """Relax and disarm the hand, and end the run."""
         await asyncio.to_thread(self.client.stop)
 
     async def wait_for(
         self, contact: str | Sequence[str] | None = None, phase: str | None = None, timeout_s: float = 10.0
     ) -> Observation:
-        """Wait for contacts or a phase, see ``HandClient.wait_for``."""
+        """Wait for contacts of digits or for a phase, see ``HandClient.wait_for``."""
         return await asyncio.to_thread(self.client.wait_for, contact, phase, timeout_s)
 
     def observe(self) -> Observation:
-        """Return the latest observation, at once."""
+        """Return the latest observation without waiting."""
         return self.client.observe()
 
     async def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> AsyncIterator[Observation]:
@@ -101,7 +107,7 @@ class AsyncHandClient:
             timeout_s: longest wait for the next tick [s].
 
         Raises:
-            BusError: the controller is silent.
+            BusError: no tick of the controller arrives in this time.
         """
         for seen in self.client.poll_observations(timeout_s):
             if seen is None:
@@ -120,22 +126,22 @@ class AsyncHandClient:
 
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz].
-            space: meaning of a target.
-            names: joints, digits or tendons of a target, in order.
+            space: meaning of the values of a target, see ``HandClient.stream``.
+            names: joints, digits or tendons to which the values of a target belong, in order.
             options: further arguments of ``HandClient.stream``.
         """
         return AsyncTargetStream(await asyncio.to_thread(self.client.stream, rate_Hz, space, names, **options))
 
 
 class AsyncTargetStream:
-    """Open stream of targets for asyncio. Use it with ``async with``.
+    """Open stream of targets for asyncio. Use the stream with ``async with``.
 
     Attributes:
-        stream: the stream, with its attributes such as ``horizon_s``.
+        stream: the ``TargetStream`` in use, with attributes such as ``horizon_s``.
     """
 
     def __init__(self, stream: TargetStream) -> None:
-        """Use an open stream."""
+        """Wrap a stream that is open."""
         self.stream = stream
 
     async def __aenter__(self) -> Self:
@@ -158,7 +164,7 @@ class AsyncTargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return how many targets the controller has accepted, clipped, ignored as late, and refused."""
+        """Return how many targets the controller has accepted, clipped, ignored because they were late, and refused."""
         return self.stream.status
 
     async def close(self) -> None:
@@ -173,7 +179,7 @@ def connect_async(
     lease_s: float | None = DEFAULT_LEASE_S,
     watchdog_s: float | None = None,
 ) -> AsyncHandClient:
-    """Return a client for asyncio, as in ``async with handctl.connect_async() as hand``.
+    """Return a client of a hand for asyncio, as in ``async with handctl.connect_async() as hand``.
 
     Args:
         hand: see ``connect``.

@@ -1,4 +1,7 @@
-"""Fingertip positions in the palm frame as goals, by inverse kinematics within the joint limits."""
+"""Goals that are positions of fingertips in the palm frame.
+
+Inverse kinematics finds joint angles within the joint limits.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,33 +18,33 @@ from handctl.hand.kinematics import joint_points
 from handctl.runtime.targets import TargetSender
 
 Positions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArray[np.floating[Any]]
-"""Positions of fingertips in the palm frame [m]: (D, 3) in the order of the digits, or (3,) by digit."""
+"""Positions of fingertips in the palm frame [m]: (D, 3) in the order of the digits, or (3,) for each digit by name."""
 
 
 class Fingertips:
-    """Joint angles for positions of fingertips.
+    """Inverse kinematics of digits: finds joint angles for positions of their fingertips.
 
-    A tip that cannot reach its position (as in a digit with one tendon for three joints) comes as
-    close as the limits allow. The posture starts from the previous posture, so that a continuous
-    motion has no jumps.
+    A digit with one tendon for three joints, for example, cannot bring the tip to every position.
+    Such a tip comes as close to a target position as the joint limits allow. The search for a
+    posture starts from the previous posture, so that a continuous motion has no jumps.
 
     Attributes:
         digits: names of the digits.
         joints: names of the joints of these digits, in order.
-        distances_m: (D,) distance from each tip to its position in the latest posture, NaN before
-            the first.
+        distances_m: (D,) distance from each tip to the target position, in the latest posture. The
+            distance is NaN before the first posture.
     """
 
     def __init__(self, hand: Hand, digits: Sequence[str] | None = None) -> None:
-        """Build the models of digits.
+        """Build the kinematic models of digits.
 
         Args:
             hand: description of the hand.
-            digits: names of the digits. None: all digits on the palm.
+            digits: names of the digits. If None is given, all digits on the palm are used.
 
         Raises:
-            ConfigError: no such digit, a name twice, or a digit on another digit, whose tip moves
-                with it.
+            ConfigError: the hand has no such digit, a name is given twice, or a digit is mounted on
+                another digit. The tip of such a digit moves with the other digit.
         """
         on_palm = [digit.name for digit in hand.digit if digit.mount_on is None]
         self.digits = tuple(on_palm if digits is None else digits)
@@ -55,22 +58,25 @@ class Fingertips:
         self._coordinates: list[NDArray[np.float64] | None] = [None] * len(self.digits)
 
     def tips(self, angles_rad: Mapping[str, float]) -> NDArray[np.float64]:
-        """Return the positions of the tips (D, 3) at joint angles by name, e.g.
+        """Return the positions of the fingertips (D, 3) in the palm frame at given joint angles [m].
 
-        ``seen.named("q_rad")`` [m].
+        Args:
+            angles_rad: joint angles by name of the joint, e.g. ``seen.named("q_rad")`` [rad].
         """
         return np.array(
             [joint_points(model, [angles_rad[joint] for joint in model.joint_names])[-1] for model in self._models]
         )
 
     def angles_deg(self, positions: Positions) -> dict[str, float]:
-        """Return joint angles by name, e.g. for ``hand.move`` [deg].
+        """Return the joint angles for positions of fingertips, by name of the joint, e.g. for ``hand.move`` [deg].
 
         Args:
-            positions: positions of the tips. Digits that a mapping leaves out get no angles.
+            positions: positions of the tips. If a mapping leaves out a digit, the joints of this
+                digit get no angles.
 
         Raises:
-            ConfigError: a wrong shape, an unknown digit, or a position that is not finite.
+            ConfigError: the positions have a wrong shape, a digit is unknown, or a position is not
+                finite.
         """
         angles: dict[str, float] = {}
         for d, target in self._targets(positions).items():
@@ -83,7 +89,7 @@ class Fingertips:
         return angles
 
     def _targets(self, positions: Positions) -> dict[int, NDArray[np.float64]]:
-        """Return the checked positions, by the index of the digit."""
+        """Check positions of fingertips, and return them by index of the digit."""
         if isinstance(positions, Mapping):
             if unknown := [str(name) for name in positions if name not in self.digits]:
                 raise ConfigError(f"no {unknown[0]!r}", "fingertips", f"some of {', '.join(self.digits)}")
@@ -100,29 +106,29 @@ class Fingertips:
 
 
 class FingertipStream(TargetStream):
-    """Open stream of fingertip positions, see ``TargetStream``. ``HandClient.stream`` opens it.
+    """Open stream of fingertip positions, a kind of ``TargetStream``. ``HandClient.stream`` opens such a stream.
 
-    The client computes joint angles, and the controller gets a stream of joint angles with its
-    usual limits.
+    The client computes joint angles from the positions. The controller gets a stream of joint
+    angles, and applies the usual limits.
 
     Attributes:
-        fingertips: inverse kinematics, with the distance that is left between each tip and its
-            latest position.
+        fingertips: inverse kinematics of the digits. Attribute ``distances_m`` is the remaining
+            distance between each tip and the latest target position.
     """
 
     def __init__(
         self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], fingertips: Fingertips,
         horizon_s: float, time_scale: float,
     ) -> None:  # fmt: skip
-        """Create the sending end.
+        """Create the sending end of the stream.
 
         Args:
             hand: client of the hand.
-            sender: sending end of the stream.
+            sender: sender of the targets.
             goal: request that has opened the stream of the joints of ``fingertips``.
-            fingertips: inverse kinematics.
+            fingertips: inverse kinematics of the digits.
             horizon_s: time from the sending of a target until the hand shall reach it [s].
-            time_scale: time of the hand per wall time.
+            time_scale: time of the hand that passes in a second of real time [s].
         """
         super().__init__(hand, sender, goal, "deg", horizon_s, time_scale)
         self.fingertips = fingertips
@@ -131,7 +137,10 @@ class FingertipStream(TargetStream):
         self.names = fingertips.digits
 
     def _target(self, values: Any) -> NDArray[np.float64]:
-        """Return joint angles for positions [deg]. Digits that a mapping leaves out keep their angles."""
+        """Return the joint angles for positions of fingertips [deg].
+
+        Digits that a mapping leaves out keep their angles.
+        """
         angles = self.fingertips.angles_deg(values)
         target = self._present() if self._last is None else self._last.copy()
         for name, angle in angles.items():

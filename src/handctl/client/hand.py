@@ -1,7 +1,8 @@
-"""Client for a running hand: motions, streams, observations.
+"""Client of a running hand, which commands motions, streams targets, and reads observations.
 
-The controller is a separate process. The client sends the same requests as the command line. The
-controller checks, limits and logs requests of programs and of operators alike.
+The controller of the hand is a separate process. The client sends the controller the same requests
+as the command line. The controller checks, limits and logs the requests of programs in the same way
+as those of operators.
 """
 
 import itertools
@@ -49,20 +50,20 @@ from handctl.session.exit_codes import ExitCode
 from handctl.session.tasks import find_task
 
 START_TIMEOUT_S = 300.0
-"""Longest time for the start of a controller, including commissioning on a slow machine [s].
+"""Longest wait for a controller started here to accept goals [s]. The time covers commissioning on a slow machine.
 
 A controller that cannot start ends much earlier.
 """
 ATTACH_TIMEOUT_S = 60.0
-"""Longest time until a controller started by another process accepts goals [s]."""
+"""Longest wait for a controller that another process has started to accept goals [s]."""
 POLL_OBSERVATION_S = 50e-6
-"""Pause between two reads of the shared memory [s]."""
+"""Pause between two reads of the shared memory with observations [s]."""
 POLL_S = 0.2
-"""Longest wait for the state before the controller process is checked [s]."""
+"""Longest wait for a status line, after which the client checks that the controller process still runs [s]."""
 SENDER_NAME_BYTES = 64
 """Largest number of bytes that the name of the sender adds to a request."""
 DEFAULT_LEASE_S = 2.0
-"""Default lease [s]. It is longer than a loaded machine delays a thread."""
+"""Default lease [s]. A busy machine delays the renewing thread for a shorter time."""
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTTING_DOWN}
 """Modes of the hand in which goals have no effect."""
 RUN_OWNER = "a running handctl run"
@@ -77,29 +78,30 @@ def connect(
     lease_s: float | None = DEFAULT_LEASE_S,
     watchdog_s: float | None = None,
 ) -> "HandClient":
-    """Return a client of the controller on a bus. If no controller runs there, one is started.
+    """Return a client of the controller on a bus. If no controller runs on the bus, start one.
 
-    A controller started here ends when this program ends or crashes, after relaxing and disarming
-    the hand. If this program commands the hand and is suspended, or is killed without having
-    started the controller, moving digits come to rest after the lease, and the hand relaxes after
-    twice the lease.
+    If this function starts the controller, the controller ends when this program ends or crashes.
+    Before its end, the controller relaxes and disarms the hand. Otherwise the lease protects the
+    hand: if the commanding program is killed, moving digits come to rest after the lease. After
+    twice the lease, the hand relaxes. The lease also acts if the program is suspended.
 
     Args:
-        hand: packaged hand or hand file of a new controller. Required on a real bus, otherwise
-            ``"jamia"``.
-        bus: bus specification as for ``--bus``. For a hand on several buses: all buses, the first
-            bus of the hand first.
+        hand: packaged hand or hand file for a new controller. On a real bus a hand is required. On
+            other buses the default is ``"jamia"``.
+        bus: bus as for the option ``--bus``. For a hand on several buses, give all of them,
+            beginning with the first bus of the hand.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus
             ``"--yes"`` confirms that the hand may move.
-        lease_s: lease in the time of the hand [s], 0.2 to 3600. A thread of the client renews it.
-            With None the hand keeps the last goal without a time limit.
-        watchdog_s: longest time between two calls of the client or targets of a stream [s]. After a
-            longer time the lease is not renewed, so that a program that hangs loses the hand as
-            well. With None any time is allowed.
+        lease_s: lease in the time of the hand [s], from 0.2 to 3600. A thread of the client renews
+            the lease. If None is given, the hand keeps the last goal without a time limit.
+        watchdog_s: longest time in which the program neither calls the client nor sends a target
+            [s]. After this time the lease is not renewed. So a program that hangs also loses the
+            right to move the hand. If None is given, any time is allowed.
 
     Raises:
-        ConfigError: invalid bus, lease or watchdog, or a real bus without a hand.
-        BusError: the request socket cannot be created.
+        ConfigError: the bus, the lease or the watchdog is invalid, or the bus is real and no hand
+            is given.
+        BusError: the socket for requests to the controller cannot be created.
     """
     _check_lease(lease_s, watchdog_s)
     buses = [bus] if isinstance(bus, str) else list(bus)
@@ -122,10 +124,10 @@ def connect(
 
 
 def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
-    """Check the times after which a client counts as lost.
+    """Check the lease and the watchdog, the times after which a client counts as lost.
 
     Raises:
-        ConfigError: a time is not a number within its limits, or a watchdog has no lease.
+        ConfigError: a time is not a number within its limits, or there is a watchdog but no lease.
     """
     limits = f"{SHORTEST_LEASE_S:g} to {LONGEST_LEASE_S:g} s"
     for name, seconds in (("lease_s", lease_s), ("watchdog_s", watchdog_s)):
@@ -137,21 +139,22 @@ def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
 
 
 class HandClient:
-    """Client of one hand. Use it as a context manager. Several threads may use it.
+    """Client of one hand. Use the client as a context manager. Several threads may share a client.
 
-    Only one client at a time may move the hand. Any number of clients may observe. The first client
-    that moves the hand keeps this right until it closes, or until another client calls
-    ``take_over``.
+    Only one client at a time may move the hand. Any number of clients may observe the hand. The
+    first client that moves the hand keeps this right until the client closes, or until another
+    client calls ``take_over``.
 
-    If the client has started the controller, closing relaxes and disarms the hand. Otherwise the
-    hand stays armed, and comes to rest if this client was moving the hand.
+    If the client has started the controller, closing the client relaxes and disarms the hand.
+    Otherwise the hand stays armed. If this client was moving the hand, the hand comes to rest.
 
     Attributes:
         bus: bus of the controller.
-        name: name of this client, shown to other clients when their commands are refused.
-        child: controller process, None if another process started it.
-        result: output of ``handctl run --json`` after the end of a run started here, e.g. ``log``
-            and ``failure``.
+        name: name of this client. Other clients see this name when the controller refuses their
+            commands.
+        child: controller process, or None if another process has started the controller.
+        result: output of ``handctl run --json``, e.g. ``log`` and ``failure``. If this client has
+            started the run, the output is available after the end of the run.
     """
 
     def __init__(
@@ -161,7 +164,10 @@ class HandClient:
         lease_s: float | None = DEFAULT_LEASE_S,
         watchdog_s: float | None = None,
     ) -> None:
-        """Create the client. `command` starts a controller. Use ``connect`` instead."""
+        """Create the client. If `command` is given, this command starts a controller.
+
+        Programs call ``connect`` instead.
+        """
         self.bus = bus
         self._lease_s = lease_s
         self._watchdog_s = watchdog_s
@@ -184,18 +190,18 @@ class HandClient:
             )  # Ctrl-C is for this program, which then ends the controller
 
     def __enter__(self) -> Self:
-        """Wait until the hand accepts goals. If commissioning comes first, this takes longer.
+        """Wait until the hand accepts goals, and return the client. This takes longer if commissioning comes first.
 
         Raises:
-            DriveError: the controller does not start, or accepts no goals. The message comes from
+            DriveError: the controller does not start or accepts no goals. The message comes from
                 the controller.
         """
         return self.open()
 
     def open(self) -> Self:
-        """Wait until the hand accepts goals, as the ``with`` statement does. For notebooks.
+        """Wait until the hand accepts goals, as the ``with`` statement does. Notebooks need this method.
 
-        Raises the errors of ``with``. Call ``close`` at the end.
+        The errors are those of the ``with`` statement. Call ``close`` at the end.
         """
         with ExitStack() as undo:
             undo.callback(self._end_command, False)
@@ -215,21 +221,22 @@ class HandClient:
         self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
         **angle_deg: float,
     ) -> None:  # fmt: skip
-        """Move digits or joints to angles, e.g. ``hand.move(index=30, thumb_j1=10)`` [deg].
+        """Move digits or joints to angles [deg], e.g. ``hand.move(index=30, thumb_j1=10)``.
 
-        A digit in motion continues smoothly from its present speed.
+        A digit that is already moving continues smoothly from its present speed.
 
         Args:
-            goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keywords add further
-                goals.
+            goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keyword arguments add
+                further goals.
             duration_s: duration of the motion in the time of the hand [s].
-            wait: True to return at the end of the motion instead of at its start.
-            angle_deg: angle by digit, for all its joints, or by joint [deg].
+            wait: True to return at the end of the motion, False to return at its start.
+            angle_deg: angle of a joint, or one angle for all joints of a digit, by name [deg].
 
         Raises:
-            ConfigError: the goal was refused, e.g. for an unknown digit. The previous goal stays.
-            DriveError: the run has ended or ends during the motion, e.g. by a fault. The message
-                has the reason.
+            ConfigError: the controller has refused the goal, e.g. because of an unknown digit. The
+                previous goal stays valid.
+            DriveError: the run has ended or ends during the motion, e.g. because of a fault. The
+                message has the reason.
             BusError: the controller does not answer.
         """
         angles = _values_by_digit("move", goals, angle_deg)
@@ -254,13 +261,13 @@ class HandClient:
 
         The method returns immediately.
 
-        Without goals all moving digits stop at their present position.
+        If no goals are given, all moving digits stop at their present positions.
 
         Args:
-            goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keywords add further
-                goals.
-            rate_N_per_s: rate of change of the tension [N/s].
-            tension_N: tension by digit [N].
+            goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keyword arguments add
+                further goals.
+            rate_N_per_s: rate at which the tension changes to its goal [N/s].
+            tension_N: tension for each digit by name [N].
 
         Raises:
             ConfigError, DriveError, BusError: see ``move``.
@@ -291,22 +298,25 @@ class HandClient:
 
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz], 20 up to the control rate.
-            space: a target has an angle for each ``"joint"``, one for all joints of a ``"digit"``,
-                a ``"tension"`` for each tendon [N], a ``"tip_force"`` for each digit [N], or the
-                position of each ``"fingertip"`` in the palm frame, (D, 3) [m], see
-                ``FingertipStream``.
-            names: joints, digits or tendons of a target, in order. None: all of the hand.
-            interpolation: motion between angles. ``"linear"`` has a constant speed,
-                ``"minimum_jerk"`` is smooth.
-            unit: unit of angles.
-            stiffness_N_m_per_rad: impedance control: stiffness of the streamed joints against a
-                push. None: that of the gains, which is also the largest.
-            damping_ratio: damping with a stiffness, as a multiple of the damping ratio of the
-                gains, 0.5 to 2.
+            space: meaning of the values of a target. In space ``"joint"`` a target has an angle for
+                each joint, in ``"digit"`` one angle for all joints of each digit. In ``"tension"``
+                a target has a tension for each tendon [N], in ``"tip_force"`` a force for each
+                digit [N]. In ``"fingertip"`` a target has the position of each fingertip in the
+                palm frame, (D, 3) [m], see ``FingertipStream``.
+            names: joints, digits or tendons to which the values of a target belong, in order. If
+                None is given, all of the hand are used.
+            interpolation: motion between two successive target angles. ``"linear"`` has a constant
+                speed, ``"minimum_jerk"`` is smooth.
+            unit: unit of the angles in a target.
+            stiffness_N_m_per_rad: stiffness of the streamed joints against a push, for impedance
+                control. If None is given, the stiffness of the gains is used, which is also the
+                largest.
+            damping_ratio: damping ratio that belongs to the stiffness, as a multiple of the damping
+                ratio of the gains, 0.5 to 2.
 
         Raises:
-            ConfigError: the stream was refused, e.g. for a name or a rate, or another client
-                commands.
+            ConfigError: the controller has refused the stream, e.g. because of a name or a rate, or
+                another client commands the hand.
             DriveError, BusError: see ``move``.
         """
         hand = self.description
@@ -341,20 +351,20 @@ class HandClient:
     def grasp(
         self, task: str | os.PathLike[str], wait: bool = True, timeout_s: float = 30.0
     ) -> Observation:
-        """Execute a task up to its first hold phase, and return the observation there.
+        """Execute a task up to the first hold phase, and return the observation at the start of this phase.
 
-        The hold lasts until ``release``.
+        The hold phase lasts until ``release`` is called.
 
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
-            wait: True to return in the hold phase instead of at once. For a task without hold
-                phase, True waits for its end.
+            wait: True to return when the hold phase begins, False to return at once. If the task
+                has no hold phase, True waits for its end.
             timeout_s: longest wait [s].
 
         Raises:
             ConfigError: the task does not exist or does not suit the hand, or another client
-                commands.
-            DriveError: the task has ended without a hold phase, the timeout has passed, or the run
+                commands the hand.
+            DriveError: the task has ended before its hold phase, the timeout has passed, or the run
                 has ended.
         """
         found, _ = find_task(Path(task), self.description)
@@ -374,14 +384,14 @@ class HandClient:
         return seen
 
     def release(self, wait: bool = True, timeout_s: float = 30.0) -> None:
-        """End the hold phase of ``grasp``, and execute the following phases.
+        """End the hold phase that ``grasp`` reached, and execute the phases of the task after it.
 
         Args:
-            wait: True to return at the end of the task instead of at once.
+            wait: True to return at the end of the task, False to return at once.
             timeout_s: longest wait [s].
 
         Raises:
-            ConfigError: the hand holds no grasp, or another client commands.
+            ConfigError: the hand is not in a hold phase, or another client commands the hand.
             DriveError: the timeout has passed, or the run has ended.
         """
         self._set_goal({"do": "release"})
@@ -389,13 +399,13 @@ class HandClient:
             self.wait_for(phase="live", timeout_s=timeout_s)
 
     def end_stream(self, name: str) -> None:
-        """End a stream by its name. ``TargetStream.close`` calls it."""
+        """End the stream with a given name. ``TargetStream.close`` calls this method."""
         self._set_goal({"do": "stream_end", "stream": name})
 
     def take_over(self) -> None:
         """Take the right to move the hand from another client.
 
-        All digits come to rest, and a stream of that client ends.
+        All digits come to rest. A stream of the other client ends.
 
         Raises:
             DriveError, BusError: see ``move``.
@@ -404,10 +414,10 @@ class HandClient:
 
     @property
     def description(self) -> Hand:
-        """Return the description of the hand: names, limits, geometry.
+        """Return the description of the hand, which has names, limits and geometry.
 
         Raises:
-            DriveError, BusError: see ``state``.
+            DriveError, BusError: as for ``state``.
         """
         if self._description is None:
             self._description = hand_from_content(
@@ -416,7 +426,7 @@ class HandClient:
         return self._description
 
     def observe(self, wait: bool = False, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Observation:
-        """Return the observation of the latest tick, from shared memory.
+        """Return the observation of the latest tick, read from shared memory.
 
         Args:
             wait: True to wait for a tick that this client has not observed yet.
@@ -424,7 +434,7 @@ class HandClient:
 
         Raises:
             DriveError: the run has ended. The message has the reason.
-            BusError: the controller is silent.
+            BusError: no tick of the controller arrives in this time.
         """
         self._note_call()
         reader = self._open_reader()
@@ -439,13 +449,13 @@ class HandClient:
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
         """Yield the observation of every tick from now on, in order, until the run ends.
 
-        A program more than a second late misses ticks, and ``k`` jumps.
+        A program that is more than a second late misses ticks. Then ``k`` jumps.
 
         Args:
             timeout_s: longest wait for the next tick [s].
 
         Raises:
-            BusError: the controller is silent.
+            BusError: no tick of the controller arrives in this time.
         """
         for seen in self.poll_observations(timeout_s):
             if seen is None:
@@ -454,9 +464,9 @@ class HandClient:
                 yield seen
 
     def poll_observations(self, timeout_s: float) -> Iterator[Observation | None]:
-        """Yield the observation of every tick, or None while there is no new one, without waiting.
+        """Yield the observation of every tick without waiting. Yield None while there is no new observation.
 
-        Arguments and errors: see ``observations``.
+        The argument and the errors are those of ``observations``.
         """
         reader = self._open_reader()
         reader.seen = reader.written
@@ -478,9 +488,9 @@ class HandClient:
         phase: str | None = None,
         timeout_s: float = 10.0,
     ) -> Observation:
-        """Wait until digits are in contact, or until the hand is in a phase.
+        """Wait until digits are in contact or the hand is in a phase, and return the observation of this tick.
 
-        Return the observation.
+        If contacts and a phase are given, both must be present in the same tick.
 
         Args:
             contact: a digit, or several digits that must all be in contact.
@@ -488,7 +498,7 @@ class HandClient:
             timeout_s: longest wait [s].
 
         Raises:
-            ConfigError: no such digit, or no condition.
+            ConfigError: the hand has no such digit, or neither contacts nor a phase are given.
             DriveError: the run has ended, or the timeout has passed.
         """
         digits = [contact] if isinstance(contact, str) else list(contact or ())
@@ -509,9 +519,9 @@ class HandClient:
                 )
 
     def _open_reader(self) -> ObservationReader:
-        """Return the reader of the observations.
+        """Return the reader of the observations in shared memory.
 
-        At first use, the reader is opened while the run is alive.
+        The first call opens the reader. This is possible only while the run is alive.
         """
         if self._observations is not None:
             if not self._observations.ended:
@@ -523,7 +533,7 @@ class HandClient:
         return self._observations
 
     def _check_silence(self, reader: ObservationReader, end: float) -> None:
-        """Raise an error if the run has ended, or if the timeout of a wait has passed."""
+        """Raise an error if the run has ended, or if the time ``end`` of a wait has passed."""
         if reader.ended:
             self._collect_result()
             self._refuse_ended()
@@ -533,9 +543,9 @@ class HandClient:
             raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
 
     def state(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> dict[str, Any]:
-        """Return the present state, at most 20 ms old, as plain values.
+        """Return the present state of the hand as plain values. The state is at most 20 ms old.
 
-        ``observe`` is faster and has more.
+        ``observe`` is faster and returns more values.
 
         Args:
             timeout_s: longest wait [s].
@@ -545,12 +555,12 @@ class HandClient:
             [rad] with its standard deviation ``q_sigma_rad`` (large where a digit in contact has
             fewer tendons than joints), ``tension_N`` and ``tension_goal_N`` by tendon [N],
             ``tip_force_N`` with ``tip_force_sigma_N`` and ``contact`` (bool) by digit [N], ``t_s``
-            time of the run [s], ``k`` tick, ``late_us`` [us], ``mode``, ``phase``, ``events`` of
-            this tick.
+            time since the start of the run [s], ``k`` number of the tick, ``late_us`` lateness of
+            the tick [us], ``mode``, ``phase``, and ``events`` of this tick.
 
         Raises:
             DriveError: the run has ended. The message has the reason.
-            BusError: the controller is silent.
+            BusError: the controller sends no status in this time.
         """
         self._note_call()
         end = time.monotonic() + timeout_s
@@ -565,7 +575,7 @@ class HandClient:
                 raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
 
     def wait(self, phase: str, timeout_s: float) -> dict[str, Any]:
-        """Wait until the hand is in a phase. Return its state.
+        """Wait until the hand is in a phase, and return the state of the hand.
 
         Args:
             phase: name of the phase. In ``"live"`` the hand accepts goals.
@@ -589,11 +599,11 @@ class HandClient:
         )
 
     def stop(self) -> None:
-        """Relax and disarm the hand and end the run, even if another process has started the controller.
+        """Relax and disarm the hand, and end the run, even if another process has started the controller.
 
         Raises:
-            UnconfirmedError: the controller has not taken the request.
-            PowerError: a drive did not confirm that it is disabled. Remove its power.
+            UnconfirmedError: the controller has not confirmed the request.
+            PowerError: a drive did not confirm that it is disabled. Remove the power of the drive.
         """
         with self._lock:
             line, _ = send_confirmed(self._watcher, {"do": "stop"}, repeat=True)
@@ -607,12 +617,12 @@ class HandClient:
 
         Raises:
             DriveError: a fault ended the run.
-            PowerError: a drive did not confirm that it is disabled. Remove its power.
+            PowerError: a drive did not confirm that it is disabled. Remove the power of the drive.
         """
         self._end_command(raise_error=True)
 
     def _set_goal(self, goal: dict[str, Any]) -> float:
-        """Send a goal, wait for its confirmation, and return the time of the confirming tick [s]."""
+        """Send a goal, wait until the controller confirms it, and return the time of the confirming tick [s]."""
         self._wait_until_following(CONFIRMATION_TIMEOUT_S)
         if self._lease_s is not None:
             goal = {**goal, "lease_s": self._lease_s}
@@ -635,7 +645,7 @@ class HandClient:
         return float(line["t_s"])
 
     def _start_heartbeat(self) -> None:
-        """Renew the lease from now on."""
+        """Start the thread that renews the lease from now on."""
         with self._lock:
             if self._lease_s is None or self._heartbeat is not None or self._closed:
                 return
@@ -647,12 +657,12 @@ class HandClient:
             )
 
     def _note_call(self) -> None:
-        """Store the time of a call of the program, for the watchdog."""
+        """Store for the watchdog that the program has called the client now."""
         if self._heartbeat is not None:
             self._heartbeat.note_call()
 
     def _wait_until_following(self, timeout_s: float) -> dict[str, Any]:
-        """Return the state of the hand once the hand follows goals."""
+        """Return the state of the hand, and raise an error if the hand no longer follows goals."""
         line = self.state(timeout_s)
         if line["mode"] in SHUTDOWN_MODE_NAMES:
             self._collect_result()
@@ -663,7 +673,7 @@ class HandClient:
     def _refuse_ended(self) -> None:
         """Raise an error if the controller or this client has ended.
 
-        Waits for the result of the run first.
+        If the controller has ended, the method first waits for the result of the run.
         """
         self._pass_on()
         if self.child is not None and (
@@ -676,13 +686,13 @@ class HandClient:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
     def _end_command(self, raise_error: bool) -> None:
-        """Stop the hand if this client has started the controller, else end the right to move the hand.
+        """Stop the hand if this client has started the controller. Otherwise give up the right to move the hand.
 
-        Later calls have no effect.
+        Later calls of this method have no effect.
 
         Args:
-            raise_error: True to raise the error that ended the run. False while another exception
-                is handled: then only a drive that may still have torque raises an error.
+            raise_error: True to raise the error that ended the run. False is given while another
+                exception is handled. Then only a drive that may still have torque raises an error.
         """
         if self._closed:
             return
@@ -704,7 +714,7 @@ class HandClient:
             raise self._run_error()
 
     def _collect_result(self) -> None:
-        """Close the standard input of the controller, which ends the controller, and read its result."""
+        """End the controller by closing its standard input, and read the result of the run."""
         if self.child is not None and self.child.stdout and not self.child.stdout.closed:
             out, _ = self.child.communicate()
             self._pass_on()
@@ -721,7 +731,7 @@ class HandClient:
         return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
 
     def _pass_on(self) -> None:
-        """Print new messages of the controller on the standard error of this program."""
+        """Print new messages of the controller to the standard error of this program."""
         if self._stderr.closed:
             return
         new = os.pread(self._stderr.fileno(), 1 << 16, self._shown)
@@ -734,10 +744,10 @@ class HandClient:
 
 
 def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values by digit from a mapping and from keywords.
+    """Join the values given in a mapping and by keyword arguments, and return them by name of the digit.
 
     Raises:
-        ConfigError: the goals are not a mapping, name no digit, or name a digit twice.
+        ConfigError: the goals are not a mapping, no digit is named, or a digit is named twice.
     """
     if goals is not None and not isinstance(goals, Mapping):
         raise ConfigError(repr(goals), do, 'digits by name, as in index=30 or {"index": 30}')
@@ -750,9 +760,9 @@ def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[s
 
 
 def _numbers_of(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return numbers of any type, such as numpy's, converted to float.
+    """Convert the numbers among some values to float, whatever their type, and return all values.
 
-    Other values are not converted, so that the check can name these values in its message.
+    Other values are not converted. A later check can then name a wrong value in the error message.
     """
     converted = dict(values)
     for key, value in values.items():

@@ -1,4 +1,7 @@
-"""Signs of life of a client, sent by a thread while the program runs."""
+"""Signs of life that a client sends to the controller.
+
+A thread sends them while the program runs.
+"""
 
 import threading
 import time
@@ -8,14 +11,18 @@ from handctl.programs.requests import alive_text
 from handctl.runtime.mailbox import RequestSender
 
 BEATS_PER_LEASE = 4
-"""Number of signs of life in the time of a lease. Three consecutive ones may be late or lost."""
+"""Number of signs of life that are sent in the time of a lease.
+
+Three successive ones may be late or lost.
+"""
 
 
 class Heartbeat:
     """Thread that renews the lease of a client.
 
-    With a watchdog, the thread sends only if the program has used the client recently. So a program
-    that hangs while its threads continue loses its lease as well.
+    If there is a watchdog, the thread sends signs of life only while the program uses the client
+    often enough. A program that hangs then loses its lease, even if other threads of the program
+    continue.
     """
 
     def __init__(self, bus: str, client: str, period_s: float, watchdog_s: float | None) -> None:
@@ -25,7 +32,8 @@ class Heartbeat:
             bus: bus of the controller.
             client: name of the client.
             period_s: time between two signs of life [s].
-            watchdog_s: longest time between two calls of the program [s], None for any time.
+            watchdog_s: longest time between two uses of the client by the program [s]. If None is
+                given, any time is allowed.
         """
         self._bus = bus
         self._data = alive_text(client).encode()

@@ -1,4 +1,4 @@
-"""Observation of a hand in one tick: numpy record with names, units, and ages."""
+"""Observation of a hand in one tick: a numpy record with names, with units, and with the age of the values."""
 
 import time
 from typing import Any
@@ -18,11 +18,12 @@ AXIS_OF = {PUBLISHED_NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
 class Observation:
     """State of the hand at one tick. Unknown numbers are NaN.
 
-    Every field of ``record`` is an attribute. Names end with the unit. Shapes: J joints, N tendons, M motors, D
-    digits, in the order of the hand file. ``named`` gives a field by names.
+    Every field of ``record`` is an attribute. The name of an attribute ends with the unit. The
+    shapes use J joints, N tendons, M motors and D digits, in the order of the hand file. ``named``
+    returns the values of a field by name.
 
     Attributes:
-        record: all values, a numpy record of shape ().
+        record: all values of the observation, a numpy record of shape ().
         k: number of the tick.
         t_ns: time of the tick since the start of the run [ns].
         late_ns: lateness of the tick [ns].
@@ -30,18 +31,20 @@ class Observation:
         q_rad: (J,) estimated joint angle.
         q_sigma_rad: (J,) standard deviation of the joint angle.
         dq_rad_s: (J,) estimated joint rate.
-        q_goal_rad: (J,) commanded joint angle, NaN for a digit that holds a tension.
+        q_goal_rad: (J,) commanded joint angle. The angle is NaN for the joints of a digit that
+            holds a tension.
         tension_N: (N,) estimated tension.
         tension_sigma_N: (N,) standard deviation of the tension.
         tension_goal_N: (N,) commanded tension.
         tip_force_N: (D,) contact force at the tip, normal to the last link.
         tip_force_sigma_N: (D,) standard deviation of the contact force.
         contact: (D,) 1 if the digit is in contact, else 0.
-        motor_position_rad: (M,) measured position at the spool, NaN if the motor did not reply in this tick.
-        motor_velocity_rad_s: (M,) measured velocity.
-        motor_torque_N_m: (M,) measured torque.
+        motor_position_rad: (M,) measured position at the spool, NaN if the motor did not reply in
+            this tick.
+        motor_velocity_rad_s: (M,) measured velocity at the spool.
+        motor_torque_N_m: (M,) measured torque at the spool.
         motor_temperature_degC: (M,) highest temperature of the drive.
-        motor_age_s: (M,) age of the latest feedback.
+        motor_age_s: (M,) age of the latest feedback of the motor.
     """
 
     k: int
@@ -68,7 +71,7 @@ class Observation:
     motor_age_s: Vector
 
     def __init__(self, record: NDArray[np.void], hand: Hand) -> None:
-        """Make an observation of a record.
+        """Make an observation from a record.
 
         Args:
             record: array of shape (), see ``runtime.observations.record_type``.
@@ -92,7 +95,7 @@ class Observation:
 
     @property
     def age_s(self) -> float:
-        """Return the time since the commands of the tick were sent, on the wall clock [s]."""
+        """Return the real time that has passed since the commands of the tick were sent [s]."""
         return (time.monotonic_ns() - int(self.record["published_ns"])) / 1e9
 
     @property
@@ -112,7 +115,7 @@ class Observation:
 
     @property
     def stream(self) -> StreamStatus:
-        """Return the controller's status of the stream of targets."""
+        """Return the controller's status of the open stream of targets."""
         fields = ("number", "age_s", "accepted", "clipped", "late", "refused", "limited")
         return StreamStatus(*[self.record[f"stream_{field}"].item() for field in fields])
 
@@ -120,7 +123,7 @@ class Observation:
         """Return the names that belong to the values of a field, e.g. the joints for ``"q_rad"``.
 
         Raises:
-            KeyError: no array has this name.
+            KeyError: no array of the observation has this name.
         """
         hand = self._hand
         axes = {"joint": hand.joints, "tendon": hand.tendon_names, "motor": hand.motor_names,

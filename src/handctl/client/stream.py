@@ -15,9 +15,10 @@ from handctl.programs.streams import UNITS, StreamStatus
 from handctl.runtime.targets import TargetSender
 
 Values = Mapping[str, float | Sequence[float] | NDArray[np.floating[Any]]] | Sequence[float] | NDArray[np.floating[Any]]
-"""Values of a target in the order of the names, or by name.
+"""Values of a target, either in the order of the stream's names or by name.
 
-The value of an omitted name is kept. A fingertip has three values, every other name has one.
+The last value of an omitted name is kept. A fingertip has three values, and every other name has
+one.
 """
 
 
@@ -36,40 +37,44 @@ class StreamOwner(Protocol):
         ...
 
     def state(self) -> dict[str, Any]:
-        """Return the present state. Raises the reason if the run has ended."""
+        """Return the present state of the hand.
+
+        If the run has ended, raise the error that ended the run.
+        """
         ...
 
     def end_stream(self, name: str) -> None:
-        """End a stream."""
+        """End the stream with a given name."""
         ...
 
 
 class TargetStream:
-    """Open stream of targets. Use it as a context manager.
+    """Open stream of targets. Use the stream as a context manager.
 
     The hand reaches a target ``horizon_s`` after the target was sent, and continues to the next
-    target. A program with a known trajectory sends the point of the trajectory ``horizon_s`` ahead,
-    so that the hand follows without delay. If targets stop, the hand stays at the last target, then
-    holds, then relaxes (``[stream]`` in the hand file).
+    target. A program with a known trajectory should send the point ``horizon_s`` ahead. Then the
+    hand follows the trajectory without delay. If no more targets arrive, the hand stays at the last
+    target, then holds, then relaxes. The section ``[stream]`` of the hand file has the times.
 
-    A target beyond the range of a joint is clipped. Speed and acceleration are limited. ``status``
-    reports this.
+    The controller clips a target beyond the range of a joint, and limits speed and acceleration.
+    ``status`` reports how often.
 
     Attributes:
         name: name of the stream.
-        space: meaning of a target, see ``HandClient.stream``.
-        names: joints, digits or tendons of a target, in order.
+        space: meaning of the values of a target, see ``HandClient.stream``.
+        names: joints, digits or tendons to which the values of a target belong, in order.
         rate_Hz: rate of the targets in the time of the hand [Hz].
         horizon_s: time from the sending of a target until the hand shall reach it [s].
         sent: number of targets sent.
-        skipped: number of targets not sent because the controller had not yet read earlier targets.
+        skipped: number of targets that were not sent, because the controller had not yet read
+            earlier ones.
     """
 
     def __init__(
         self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], unit: str, horizon_s: float,
         time_scale: float,
     ) -> None:  # fmt: skip
-        """Create the sender of a stream. Use ``HandClient.stream`` instead."""
+        """Create the sending end of a stream. Programs call ``HandClient.stream`` instead."""
         self._hand = hand
         self._sender = sender
         self.space: str = goal["space"]
@@ -101,7 +106,7 @@ class TargetStream:
             values: (V,) values in the order of ``names``, or by name.
 
         Raises:
-            ConfigError: a wrong number of values, an unknown name, or a value that is not finite.
+            ConfigError: the number of values is wrong, a name is unknown, or a value is not finite.
             DriveError: the stream is closed, or the run has ended. The message has the reason.
         """
         if self._closed:
@@ -119,21 +124,22 @@ class TargetStream:
     def sleep(self) -> None:
         """Sleep until the next target is due.
 
-        A late program continues from the present time, without a burst.
+        A late program continues from the present time, and does not send the missed targets in a
+        burst.
         """
         time.sleep(max(0.0, self.next_due_s() - time.monotonic()))
 
     def next_due_s(self) -> float:
         """Return the time at which the next target is due, on the clock ``time.monotonic`` [s].
 
-        Every call counts as the end of a period.
+        Every call moves the time on by one period.
         """
         self._next_ns = max(self._next_ns + self._period_ns, float(time.monotonic_ns()))
         return self._next_ns / 1e9
 
     @property
     def status(self) -> StreamStatus:
-        """Return how many targets the controller has accepted, clipped, ignored as late, and refused."""
+        """Return how many targets the controller has accepted, clipped, ignored because they were late, and refused."""
         return self._hand.observe().stream
 
     def close(self) -> None:
@@ -145,10 +151,10 @@ class TargetStream:
         self._hand.end_stream(self.name)
 
     def _target(self, values: Values) -> NDArray[np.float64]:
-        """Return the values in the order of the names, in the unit of the program.
+        """Return the values of a target in the order of the stream's names, in the unit that the program uses.
 
         Raises:
-            ConfigError: see ``send``.
+            ConfigError: as for ``send``.
         """
         if isinstance(values, Mapping):
             if unknown := [str(name) for name in values if name not in self.names]:
@@ -166,7 +172,10 @@ class TargetStream:
         return target
 
     def _present(self) -> NDArray[np.float64]:
-        """Return the present values. Names omitted in the first target start from these."""
+        """Return the present values of the hand.
+
+        Values left out in the first target start from the present values.
+        """
         seen = self._hand.observe()
         if UNITS[self.space] != "deg":
             present = seen.named("tension_N" if self.space == "tension" else "tip_force_N")

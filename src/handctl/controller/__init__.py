@@ -1,1 +1,1 @@
-"""The pure controller: Controller: tick, modes, state, requests, change of gains, and shutdown."""
+"""The controller of a hand, as pure functions: tick, modes, state, requests, change of gains, and shutdown."""

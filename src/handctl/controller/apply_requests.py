@@ -1,4 +1,4 @@
-"""Requests of operators and programs, applied to the controller's state."""
+"""Application of requests, from operators and programs, to the state of the controller."""
 
 from dataclasses import replace
 
@@ -41,18 +41,18 @@ from handctl.programs.streams import digits_of
 from handctl.safety.faults.table import BY_ID, DEBOUNCE
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
-"""Modes in which a clear request also clears the drives' errors."""
+"""Modes in which a request to clear faults also clears the errors of the drives."""
 
 
 def apply_requests(
     model: HandModel, program: Program, state: State, requests: tuple[str, ...]
 ) -> tuple[OperatorRequests, tuple[Event, ...]]:
-    """Apply the requests of one tick, in order.
+    """Apply the requests of one tick, in the order of their arrival.
 
-    A text that is not a request becomes a warning event.
+    A text that is not a request causes a warning event.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         program: program that sets the goals of the digits.
         state: state of the tick, modified in place.
         requests: requests as JSON texts.
@@ -87,7 +87,7 @@ def apply_requests(
 
 
 def _apply_other(model: HandModel, program: Program, state: State, request: Request) -> tuple[Event, ...]:
-    """Apply a request for gains, a sign of life, or a command."""
+    """Apply a request for gains, a client's sign of life, or a motion command."""
     if isinstance(request, SetGains):
         return _set_gains(model, program, state, request)
     if isinstance(request, Alive):
@@ -96,7 +96,7 @@ def _apply_other(model: HandModel, program: Program, state: State, request: Requ
 
 
 def _set_gains(model: HandModel, program: Program, state: State, request: SetGains) -> tuple[Event, ...]:
-    """Begin the design of the controller for requested gains."""
+    """Begin the design of the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
         return (Event("warn", "request", "", "refused: the hand is being commissioned"),)
     pending = state.decisions.pending
@@ -133,7 +133,7 @@ def _apply_command(model: HandModel, program: Program, state: State, request: Co
 
 
 def _apply_grasp(model: HandModel, state: State, request: Grasp | ReleaseGrasp) -> tuple[Event, ...]:
-    """Begin a grasp task, or end the hold of a running one."""
+    """Begin a grasp task, or end the hold of the running grasp task."""
     if isinstance(request, ReleaseGrasp):
         progress, events = release_task(state.progress)
     else:
@@ -144,7 +144,7 @@ def _apply_grasp(model: HandModel, state: State, request: Grasp | ReleaseGrasp) 
 
 
 def _refusal(program: Program, state: State, request: CommandBase) -> Event | None:
-    """Return the reason to refuse a command, empty to accept the command.
+    """Return an event with the reason to refuse a command, or None to accept the command.
 
     A relaxing or commissioning hand must not pull, and only one client may send commands.
     """
@@ -162,7 +162,7 @@ def _refusal(program: Program, state: State, request: CommandBase) -> Event | No
 
 
 def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension) -> tuple[Event, ...]:
-    """Set a goal for digits. A stream that includes one of the digits ends."""
+    """Set the goal of a request for its digits. A stream that includes one of these digits ends."""
     reference = reference_of(model, state)
     progress, events = apply_goal(model, state.progress, request, state.estimate, state.goal_time, reference)
     if progress is state.progress:
@@ -181,8 +181,8 @@ def clear_latched_faults(state: State) -> None:
     A fault that is still present is detected again in this tick, and latches again.
     """
     ticks = state.view("fault_ticks")[: len(DEBOUNCE)]
-    # One tick below the debounce: a fault that is still present counts again in this tick, any
-    # other fault is reset.
+    # The count of ticks falls to one tick below the debounce. So a fault that is still present
+    # becomes active again in this tick, and any other fault is reset.
     np.minimum(ticks, DEBOUNCE[:, None] - 1, out=ticks)
     reported_faults = [
         one._replace(ticks=min(one.ticks, BY_ID[one.id].debounce - 1)) for one in state.decisions.reported_faults

@@ -1,4 +1,4 @@
-"""Load of each bus of a hand, in the worst case of all frames."""
+"""Load of each bus of a hand, if every frame takes its longest duration."""
 
 from dataclasses import dataclass, replace
 
@@ -14,7 +14,7 @@ from handctl.hand.file.sections import Bus
 
 @dataclass(frozen=True, slots=True)
 class FrameRow:
-    """Row of the bus-load table: all frames of one kind.
+    """Row of the bus-load table: all frames of one kind on a bus.
 
     Attributes:
         what: name of the motor, or of the part of the sensor node, that sends the frames.
@@ -35,7 +35,7 @@ class FrameRow:
 
 @dataclass(frozen=True, slots=True)
 class BusLoad:
-    """Load of one bus.
+    """Load of one bus of a hand.
 
     Attributes:
         name: name of the bus.
@@ -49,12 +49,12 @@ class BusLoad:
 
     @property
     def tick_s(self) -> float:
-        """Return the duration of a tick's frames [s]."""
+        """Return the bus time that the frames of one tick take [s]."""
         return sum(row.per_tick * row.frame_s for row in self.rows)
 
     @property
     def timed_fraction(self) -> float:
-        """Return the fraction of bus time that is used by frames that do not depend on the control rate."""
+        """Return the fraction of bus time that is taken by frames whose number does not depend on the control rate."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
     def at(self, rate_hz: float) -> float:
@@ -62,12 +62,12 @@ class BusLoad:
         return rate_hz * self.tick_s + self.timed_fraction
 
     def highest(self, limit: float) -> float:
-        """Return the control rate at which the bus load is ``limit`` [Hz], infinity without frames per tick."""
+        """Return the control rate at which the bus load is ``limit`` [Hz], or infinity if no tick has frames."""
         return max(0.0, limit - self.timed_fraction) / self.tick_s if self.tick_s else float("inf")
 
 
 def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
-    """Return the load of each bus.
+    """Return the load of each bus of a hand.
 
     Raises:
         ConfigError: if a motor is set to CAN FD and the bus has no data bit rate.
@@ -77,7 +77,7 @@ def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
 
 
 def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
-    """Return the frames of a motor on a bus.
+    """Return the rows of the bus-load table for the frames of a motor.
 
     Raises:
         ConfigError: if the motor is set to CAN FD and the bus is not.
@@ -100,7 +100,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
 
 
 def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
-    """Return the frames of the sensor node and SYNC on a bus."""
+    """Return the rows of the bus-load table for the frames of the sensor node and for SYNC."""
     node = make_sensors(hand)
     if not node.ids:
         return ()
@@ -130,7 +130,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
         Names of the motors on each bus. It is empty if a single motor overloads a bus.
     """
     first = hand.bus[0]
-    # The first bus also carries SYNC and load cells, so it has less room for motors.
+    # The first bus also carries SYNC and the load-cell frames, so it has less capacity for motors.
     capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz)
     # CiA 402 drives reply to SYNC. A bus without the sensor node's SYNC needs another SYNC.
     has_sync = SYNC in make_sensors(hand).host_ids

@@ -1,6 +1,6 @@
 """Reaction to the loss of the client that commands the hand: the digits come to rest, then the hand relaxes.
 
-A client that hangs or dies sends no further goal, and its last goal would stay without a time
+A client that hangs or dies sends no further goal, so its last goal would apply without a time
 limit. Therefore a client with a lease sends signs of life regularly. Commands, signs of life and
 targets enter the tick as requests, so that a log is re-executed with the same leases.
 """
@@ -15,11 +15,14 @@ from handctl.core.types import Event, Mode
 from handctl.programs.requests import CommandBase, Leave
 
 RELAX_FACTOR = 2
-"""Silence after which the hand relaxes, as a multiple of the lease."""
+"""Silence of a client after which the hand relaxes, as a multiple of the duration of its lease."""
 
 
 def begin_lease(state: State, request: CommandBase) -> None:
-    """Start the lease of the client that sent a command. A command without a lease ends the lease."""
+    """Start the lease of the client that sent a command.
+
+    If the command has no lease, end the present lease.
+    """
     lease = None
     if request.lease_s is not None and not isinstance(request, Leave):
         lease = Lease(request.client, round(1e9 * request.lease_s), state.whole(s.T_NS))
@@ -42,11 +45,11 @@ def renew_lease(state: State, client: str) -> tuple[Event, ...]:
 def expire_lease(model: HandModel, state: State) -> tuple[Event, ...]:
     """Bring the digits to rest, or end the run, if the commanding client has been silent too long.
 
-    Digits that hold a tension, and a task, continue until the run ends. Streamed targets are
-    signs of life.
+    A running task, and digits that hold a tension, continue until the run ends. Streamed targets
+    are signs of life.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         state: state of the tick, modified in place.
 
     Returns:

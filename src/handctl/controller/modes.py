@@ -20,18 +20,18 @@ from handctl.errors import REMOVE_POWER
 from handctl.safety.action import Action
 
 LISTEN_S = 0.5
-"""Time before the first frame is sent, in which a second controller is detected [s]."""
+"""Time before this host sends its first frame, in which it detects a second controller [s]."""
 INVENTORY_TIMEOUT_S = 3.0
 CLEAR_ADVICE = " (when you have looked why: --clear)"
-"""Advice to the operator for a drive with a latched error."""
+"""Advice to the operator, in the message about a drive with a latched error."""
 LATCHED_ERROR_HINT = " (or an error that does not clear)"
 READY_S = 0.1
-"""Time before arming in which the filter gets its first measurements [s]."""
+"""Time before arming in which the tension filter gets its first measurements [s]."""
 ARMING_TIMEOUT_S = 1.0
 RELAX_TIMEOUT_S = 1.0
 DISARM_TIMEOUT_S = 1.0
 CUT_S = 0.1
-"""Time for which cut frames are repeated [s]."""
+"""Time for which the frames that cut the torque are repeated [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +43,18 @@ class OperatorRequests:
 
 
 class ModeInputs(NamedTuple):
-    """Inputs of the mode machine besides the state.
+    """Inputs of the state machine of the modes, in addition to the state of the controller.
 
     Attributes:
-        model: the hand.
+        model: model of the hand.
         drives: drives of all motors.
         elapsed: time in the present mode [s].
         action: reaction that the safety monitor demands.
         operator: stop and cut requests from the operator.
         foreign: signs of a second controller: frames that only a host sends, and motor replies
             without a request from this host.
-        identities: identities of the drives at calibration, see ``Drive.identity``. Empty where
-            unknown.
+        identities: identities of the drives at calibration, see ``Drive.identity``. An unknown
+            identity is empty.
     """
 
     model: HandModel
@@ -82,7 +82,7 @@ NextMode = tuple[Mode, str]
 
 
 def drive_target(mode: Mode) -> DriveTarget:
-    """Return the drive state to request from every drive in a mode."""
+    """Return the state that is requested from every drive in a mode of the hand."""
     return _DRIVE_TARGETS[mode]
 
 
@@ -122,7 +122,7 @@ def next_mode(
     """Determine the next mode and write it into the state.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         drives: drives of all motors.
         state: state with the drive and filter values of the tick, modified in place.
         action: reaction that the safety monitor demands.
@@ -132,7 +132,7 @@ def next_mode(
         identities: identities of the drives in the calibration. May be empty.
 
     Returns:
-        The event of a mode change, empty without a change.
+        The event of a mode change, empty if the mode does not change.
     """
     inputs = ModeInputs(model, drives, t - state.mode_since, action, operator, foreign, identities)
     before = state.mode
@@ -142,7 +142,7 @@ def next_mode(
         if mode == Mode.RELAX:
             update_relax_rate(state)
         return ()
-    failure = failure or ("" if state.failure else _latched_faults(state))  # also of a fault during the move home
+    failure = failure or ("" if state.failure else _latched_faults(state))  # this includes a fault during the move home
     names = inputs.names
     level = "error" if failure else "info"
     unconfirmed = _motors_possibly_on(model, state, names) if mode == Mode.DONE else ()
@@ -187,7 +187,10 @@ In ARMING no tension has been commanded and no further drive may be enabled, so 
 
 
 def _latched_faults(state: State) -> str:
-    """Return the latched faults as text, for the reason of a failure. May be empty."""
+    """Return the latched faults as text, for the reason of a failure.
+
+    The text is empty without faults.
+    """
     if not state.latched:
         return ""
     return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
@@ -223,7 +226,7 @@ def _wrong_amplifiers(state: State) -> list[str]:
 
 
 def _silent_sensors(state: State) -> list[str]:
-    """Return the amplifiers without a complete set-up, or the sensor node."""
+    """Return the names of silent sensors: amplifiers without a complete set-up, or else all sensors as one name."""
     amplifiers = state.decisions.amplifiers
     behind = [one for one in amplifiers if one.phase != Phase.READY]
     silent = [one.name + (f" ({one.error_text})" if one.error_text else "") for one in behind]
@@ -231,7 +234,7 @@ def _silent_sensors(state: State) -> list[str]:
 
 
 def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
-    """Return the filter inputs that are missing when all drives are ready and all sensor frames have arrived."""
+    """Return the missing inputs of the tension filter, when all drives are ready and all sensor frames have arrived."""
     drives = _named_drives(state, inputs)
     blind = [name for name, drive in drives if drive.phase == Phase.READY and math.isnan(drive.position)]
     return [f"no position from {', '.join(blind)}"] if blind else []
@@ -271,7 +274,7 @@ def _after_active(state: State, inputs: ModeInputs) -> NextMode:
 
 
 def _after_relax(state: State, inputs: ModeInputs) -> NextMode:
-    # A load cell may read too little, so the commands must have fallen as well before the torque is
+    # A load cell may read too little, so the commands must also have fallen before the torque is
     # removed.
     relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(inputs.model, state)
     return (Mode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
@@ -315,7 +318,7 @@ def _named_drives(state: State, inputs: ModeInputs) -> Iterator[tuple[str, Drive
 
 
 def _enabled_motors(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of motors not confirmed as disabled."""
+    """Return the names of motors whose drives have not confirmed that they are disabled."""
     disabled = (Phase.READY, Phase.FAULT)
     return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled)
 

@@ -5,13 +5,13 @@ Therefore an envelope bounds the motor force of each tendon. No measurement can 
 
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
-with the commanded motor force u at the tendon [N]. T is the period. For a spool pair u is the
-absolute value of the force, and the direction does not change. The envelope begins at the last
+with the commanded motor force u at the tendon [N], and the control period T. For a spool pair u is
+the absolute value of the force, and the direction does not change. The envelope begins at the last
 command, or at the present tension if the tension is smaller. If a load cell may be wrong, the
 envelope of a tendon in the tension loop begins at the setpoint instead of the tension. The tension
-loop may command less than the envelope, but not more. After a fault of the loop
-(``RelaxMethod.OPEN_LOOP``) u[k] = e[k]. The command of a motor that brakes at the start of relaxing
-goes to zero.
+loop may command less than the envelope, but not more. After a fault of the tension loop
+(``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor brakes at the start of
+relaxing, its command goes to zero.
 """
 
 from dataclasses import replace
@@ -29,12 +29,12 @@ from handctl.safety.faults.table import BY_ID
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
 START_MARGIN_N = 15.0
-"""Largest amount by which the first setpoint may exceed the last command [N], for friction and motion."""
+"""Largest amount by which the first setpoint may exceed the last commanded force [N], for friction and motion."""
 
 LOAD_CELL_FAULTS = ("T04b", "T05", "T05b", "T06")
 """Faults that make the measured tension unreliable: the true tension may be larger."""
 RELAXED_WITHIN_N = 3.0
-"""Largest tension above the floor at which a tendon counts as relaxed [N]."""
+"""Tension in excess of the relaxed tension at which a tendon still counts as relaxed [N]."""
 SETPOINT_MARGIN_N = 3.0
 """Largest margin of the first setpoint above the present tension [N].
 
@@ -65,7 +65,7 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     )
     state.decide(progress=replace(state.progress, goals=goals))
     table[s.SETPOINT] = sign * start
-    # COMMANDED_FORCE is the commanded motor force, which the envelope starts from in the next tick.
+    # COMMANDED_FORCE is the commanded motor force, from which the envelope starts in the next tick.
     explained = present
     if any(mark.id in LOAD_CELL_FAULTS for mark in state.latched):
         # If the load cell may be wrong, the tension may be as large as the setpoint. A position
@@ -76,18 +76,18 @@ def begin_relaxing(model: HandModel, state: State) -> None:
 
 
 def _relaxed_goal(model: HandModel, start: Vector) -> Vector:
-    """Return (N,) tensions of the relaxed hand [N], not above the setpoints (N,) at the start."""
+    """Return the tensions (N,) of the relaxed hand [N], but at most the setpoints (N,) at the start of relaxing."""
     return np.where(model.is_pair, 0.0, np.minimum(start, model.relaxed))
 
 
 def _envelope_start(model: HandModel, state: State, sign: Vector, explained: Vector) -> Vector:
-    """Return (N,) motor force at the start of the envelope [N]: the last command or a smaller force.
+    """Return the motor forces (N,) at which the envelopes start [N]: the last commands, or smaller forces.
 
     An unstable loop may have commanded 100 N for a tendon with a tension of 10 N. The envelope then
     begins at the present tension plus friction.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         state: state at the start of relaxing.
         sign: (N,) direction of the commanded force.
         explained: (N,) largest tension in this direction that measurement or setpoint explain [N].
@@ -97,17 +97,17 @@ def _envelope_start(model: HandModel, state: State, sign: Vector, explained: Vec
 
 
 def are_commands_relaxed(model: HandModel, state: State) -> bool:
-    """Return True if every motor command is at most the tension of a relaxed tendon."""
+    """Return True if every motor command is close to the tension of a relaxed tendon, or below it."""
     return not np.any(_force_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N)
 
 
 def are_tensions_relaxed(model: HandModel, state: State) -> bool:
-    """Return True if every tendon is relaxed."""
+    """Return True if every tension is close to the tension of a relaxed tendon."""
     return bool(np.all(_force_sizes(model, state.tendon[s.TENSION]) < model.relaxed + RELAXED_WITHIN_N))
 
 
 def _force_sizes(model: HandModel, values: Vector) -> Vector:
-    """Return (N,) the absolute values of the tensions."""
+    """Return the sizes (N,) of forces or tensions [N]: the absolute values for spool pairs."""
     return np.where(model.is_pair, np.abs(values), values)
 
 
@@ -120,7 +120,7 @@ def update_relax_rate(state: State) -> None:
 
 
 def present_relax_rate(state: State) -> float:
-    """Return the rate at which the envelope falls [N/s]."""
+    """Return the rate at which the envelope of the motor forces falls [N/s]."""
     return OVER_TENSION_RATE_N_PER_S if RelaxMethod.FAST_LOOP in _release_methods(state) else RELAX_RATE_N_PER_S
 
 

@@ -1,9 +1,9 @@
-"""Change of gains while the controller runs: design in steps, then a takeover without a torque step.
+"""Change of gains while the controller runs: the design is made in steps, and then taken over without a torque step.
 
 The design of a loop takes about a millisecond. A running controller therefore designs one loop per
 tick, and switches all loops to the new design in the same tick. At the takeover, the difference
 between the motor forces commanded with old and new gains becomes an offset that fades out (bumpless
-transfer). The integrals are forces in newtons, so they need no rescaling.
+transfer). The integrals of the loops are forces in newtons, so they need no rescaling.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,18 +19,18 @@ from handctl.errors import ConfigError
 from handctl.programs.requests import REFUSED_PREFIX
 
 Controller = TypeVar("Controller")
-"""Type variable for ``controller.tick.Controller``, or another dataclass with a ``model``."""
+"""Type variable for ``controller.tick.Controller``, or for another dataclass with a ``model``."""
 
 CACHE_SIZE = 8
-"""Number of designs in the cache: present gains, pending gains, and some earlier gains to return to."""
+"""Number of designs in the cache: for present gains, for pending gains, and for some earlier gains to return to."""
 
 
 class DesignProgress(NamedTuple):
-    """Result of a design step before the design is complete.
+    """Result of a design step after which the design is not complete.
 
     Attributes:
         pending: progress of the design, None if no stabilising gains exist for these weights.
-        events: events that report the failure.
+        events: events that report a failure of the design.
     """
 
     pending: PendingGains | None
@@ -39,12 +39,13 @@ class DesignProgress(NamedTuple):
 
 @dataclass(slots=True)
 class Designs:
-    """Cache of designs by gains. A design dropped from the cache is computed again.
+    """Cache of controller designs, by gains. A design that was dropped from the cache is computed again.
 
     Attributes:
-        designed_pieces: loops designed so far, for the last ``CACHE_SIZE`` requested gains.
+        designed_pieces: control loops designed so far, for each of the last ``CACHE_SIZE``
+            requested gains.
         controllers: controllers with complete designs.
-        used: gains of the controller returned last.
+        used: gains of the controller that was returned last.
     """
 
     designed_pieces: dict[Gains, list[Vector]] = field(default_factory=dict)
@@ -52,7 +53,10 @@ class Designs:
     used: Gains | None = None
 
     def advance(self, model: HandModel, pending: PendingGains) -> DesignProgress | None:
-        """Design one more loop. Returns None when the design is complete."""
+        """Design one more control loop of pending gains.
+
+        Return None when the design is complete.
+        """
         try:
             check_tendon_names(pending.gains, model.space.names)
             done = self._design_pieces(model, pending.gains, pending.step + 1)
@@ -63,7 +67,7 @@ class Designs:
         return DesignProgress(replace(pending, step=pending.step + 1))
 
     def controller(self, controller: Controller, gains: Gains) -> Controller:
-        """Return the controller with the given gains, and keep this design in the cache."""
+        """Return a copy of a controller with other gains, and keep the design of these gains in the cache."""
         self.used = gains
         if gains not in self.controllers:
             old: Any = controller
@@ -75,7 +79,7 @@ class Designs:
         return made
 
     def _design_pieces(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
-        """Return at least the first ``count`` designed loops, after designing the missing loops."""
+        """Return at least the first ``count`` control loops of a design, after designing the missing loops."""
         designed_pieces = self.designed_pieces.setdefault(gains, [])
         if len(self.designed_pieces) > CACHE_SIZE:
             # Dictionaries keep insertion order, so the first entry is the oldest. The gains in use

@@ -54,7 +54,7 @@ class LiveSetup(Document):
 
 
 class JogSetup(Document):
-    """Setup of a program with a single goal for a given duration."""
+    """Setup of a program that pursues a single goal for a given duration."""
 
     program: Literal["jog"] = "jog"
     request: Annotated[MoveDigits | HoldTension, Field(discriminator="do")]
@@ -68,7 +68,10 @@ class CommissionSetup(Document):
 
 
 class PlaybackSetup(Document):
-    """Setup of a program that repeats a recorded run. ``rows`` is ``Recording.text``."""
+    """Setup of a program that repeats a recorded run.
+
+    ``rows`` is the recording as text, see ``Recording.text``.
+    """
 
     program: Literal["playback"] = "playback"
     raw: bool
@@ -76,7 +79,7 @@ class PlaybackSetup(Document):
 
 
 class ExerciseSetup(Document):
-    """Setup of a program with motions to evaluate gains."""
+    """Setup of a program that makes motions for the evaluation of gains."""
 
     program: Literal["exercise"] = "exercise"
     amplitudes: tuple[float, ...]
@@ -94,7 +97,7 @@ ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
 class Setup(Document):
-    """Data from which a controller is constructed, besides hand and gains.
+    """Data from which a controller is constructed, in addition to hand and gains.
 
     Floats are stored without rounding.
     """
@@ -110,7 +113,10 @@ class Setup(Document):
     """Identities of the drives at calibration. Empty if unknown."""
     program: ProgramSetup
     identified_hand: str = ""
-    """Identified hand as TOML text. Empty if the values of the hand file apply."""
+    """Hand description with identified parameters, as TOML text.
+
+    Empty if the values of the hand file apply.
+    """
     torque_gain: tuple[float, ...] = ()
     """(N,) identified torque gains. Empty if all are 1."""
 
@@ -144,7 +150,7 @@ class Setup(Document):
 
 
 def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Return one line for each protection of a drive that cannot be read back.
+    """Return one line for each protection setting of a drive that the host cannot read back.
 
     The operator reads these lines before arming.
     """
@@ -154,7 +160,8 @@ def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
     """Return the drive of each tendon, in the order of the tendons.
 
-    A CiA 402 drive replies to SYNC. On a bus without another SYNC, one drive sends it.
+    A CiA 402 drive replies to SYNC. On a bus without another SYNC, the host sends SYNC after the
+    command of one drive.
 
     Raises:
         ConfigError: a drive does not know an option, or two nodes share an identifier.
@@ -175,7 +182,7 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
     """Check that the commands of a motor's drive can carry a position loop and its gains.
 
     Raises:
-        ConfigError: they cannot.
+        ConfigError: if the commands cannot.
     """
     if not motor.holds_position:
         return
@@ -211,7 +218,7 @@ def _with_sync(drives: tuple[Drive, ...], sensors: Sensors) -> tuple[Drive, ...]
 
 
 def make_sensors(hand: Hand) -> Sensors:
-    """Return the hand's load cells and joint encoders."""
+    """Return the drivers of the hand's load cells and joint encoders."""
     node = hand.sensor_node
     bus = hand.bus_names.index(node.bus)
     if node.is_cia404:
@@ -226,8 +233,8 @@ def make_controller(
 
     Without a calibration, tare and zero are 0.
 
-    Values identified by the calibration replace values of the hand file. Drives and limits are
-    those of the hand file.
+    Parameters that were identified in the calibration replace values of the hand file. Drives and
+    limits are those of the hand file.
     """
     n = len(hand.tendon)
     tare = calibration.tare(hand) if calibration else np.zeros(n)

@@ -16,7 +16,7 @@ class ShutdownStep(NamedTuple):
     Attributes:
         state: state with the latest replies of the drives.
         frames: frames to send.
-        enabled: names of motors not confirmed as disabled.
+        enabled: names of motors whose drives have not confirmed that they are disabled.
     """
 
     state: State
@@ -36,7 +36,7 @@ def shutdown_step(controller: Controller, state: State, t_ns: int, received: Seq
         received: frames received since the last step.
 
     Returns:
-        The next state, the frames to send, and the unconfirmed motors.
+        The next state, the frames to send, and the motors that are not confirmed as disabled.
     """
     after = state.copy()
     enabled = []

@@ -1,4 +1,4 @@
-"""Conversion of the controller state to bytes, so that a log can be executed again from the middle.
+"""Conversion of the controller's state to bytes and back, so that a log can be executed again from the middle.
 
 A snapshot consists of the identity of the layout (8 bytes), the state block, and the decisions as
 JSON. Only code with the same schema can read a snapshot.
@@ -49,7 +49,7 @@ def snapshot_bytes(state: State) -> bytes:
 
 
 def _mark_bytes(value: object) -> tuple[str, str]:
-    """Return a bytes value as a JSON object with a mark, because JSON has no bytes."""
+    """Return a bytes value as a marked hexadecimal text, because JSON has no bytes."""
     assert isinstance(value, bytes)
     return BYTES, value.hex()
 

@@ -24,14 +24,14 @@ from handctl.safety.judge import Counting, Latched
 
 
 class Lease(NamedTuple):
-    """Lease of a client.
+    """Lease of the client that commands the hand: the time for which the client may be silent.
 
     Attributes:
         client: client that commands the hand.
         duration_ns: longest silence before moving digits come to rest [ns]. After twice this time
             the hand relaxes.
         renewed_ns: time of the last command or sign of life [ns].
-        resting: True if the digits have come to rest since that time.
+        resting: True if the digits have been brought to rest since ``renewed_ns``.
     """
 
     client: str
@@ -41,18 +41,19 @@ class Lease(NamedTuple):
 
 
 class Decisions(NamedTuple):
-    """State kept outside the per-tick state block, because only events change it.
+    """Part of the state that is not in the state block, because only events change it.
 
     Attributes:
         drives: state of each drive without its values. The values of the drives are in the block.
             Here they are NaN or 0.
         progress: progress of the program.
         latched: latched faults.
-        reported_faults: faults reported by buses and host, with the number of consecutive ticks.
+        reported_faults: faults that buses and host report, each with its number of consecutive
+            ticks.
         refusals: ticks within the last second that had a malformed request.
         failure: reason of an early end of the run in one line, empty without a failure.
-        unconfirmed: names of motors not confirmed as disabled.
-        gains: gains that replace those from the start of the run, None before a change.
+        unconfirmed: names of motors whose drives have not confirmed that they are disabled.
+        gains: gains that have replaced the gains from the start of the run, None before a change.
         pending: requested gains whose design is in progress.
         commander: client that may send commands, see ``requests.CommandBase``. None if any client
             may.
@@ -86,7 +87,8 @@ def _hash_decisions(decisions: Decisions) -> bytes:
     """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
     drives = _drives_cache(decisions.drives)
     goals = _goals_cache(decisions.progress.goals)
-    # Without amplifiers the hash equals that of logs from versions without amplifiers.
+    # Without amplifiers, the hash equals the hash in logs of versions that did not support
+    # amplifiers.
     rest = _rest_cache(decisions[1:] if decisions.amplifiers else decisions[1:-1])
     return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *rest]))
 
@@ -98,7 +100,7 @@ def layout_of_state(model: HandModel, groups: int) -> Layout:
     """Return the layout of the state block for a hand.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         groups: number of frame groups of the sensor node.
     """
     n = model.tendon_count
@@ -119,7 +121,7 @@ def layout_of_state(model: HandModel, groups: int) -> Layout:
 def drive_values(
     tendon: NDArray[np.float64], tendon_int: NDArray[np.int64], n: int
 ) -> tuple[float, float, float, float, int, int]:
-    """Return the values of a drive in the block, as arguments of ``DriveState.with_values``."""
+    """Return the values of a drive from the state block, as arguments of ``DriveState.with_values``."""
     position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
     return position, velocity, torque, temperature, int(tendon_int[s.FEEDBACK_NS, n]), int(tendon_int[s.FEEDBACKS, n])
 
@@ -140,7 +142,7 @@ class State:
     __slots__ = ("_run", "_run_int", "block", "decisions", "layout", "tendon", "tendon_int")
 
     def __init__(self, layout: Layout, block: Block, decisions: Decisions) -> None:
-        """Use a block of numbers, and make views of its tables.
+        """Use a block of numbers without copying it, and make views of its tables.
 
         Args:
             layout: layout of the block.
@@ -152,12 +154,12 @@ class State:
         self.decisions = decisions
         self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
         self.tendon_int: NDArray[np.int64] = layout.table(block, "tendon_int")
-        # "run" has one column, so a row number is directly the position.
+        # The table "run" has one column, so the row number is the position in the table.
         self._run = block[layout.start("run") :]
         self._run_int = block[layout.start("run_int") :].view(np.int64)
 
     def copy(self) -> "State":
-        """Return an independent copy."""
+        """Return an independent copy of the state."""
         return State(self.layout, self.block.copy(), self.decisions)
 
     def decide(self, **changes: Any) -> None:
@@ -171,7 +173,7 @@ class State:
     # Tables and single numbers of the block.
 
     def view(self, name: str) -> NDArray[Any]:
-        """Return a field of the block by name."""
+        """Return a field of the state block by its name."""
         return self.layout.view(self.block, name)
 
     def number(self, row: int) -> float:
@@ -206,7 +208,7 @@ class State:
 
     @property
     def mode_since(self) -> float:
-        """Return the start of the mode [s]."""
+        """Return the time at which the present mode began [s]."""
         return self.number(s.MODE_SINCE)
 
     @mode_since.setter
@@ -242,12 +244,12 @@ class State:
 
     @property
     def started(self) -> bool:
-        """Return True if encoder and load cell of every tendon have been read at least once."""
+        """Return True if the encoder and the load cell of every tendon have been read at least once."""
         return bool(self.whole(s.FILTER_STARTED))
 
     @property
     def estimate(self) -> Estimate:
-        """Return the present estimates, for programs."""
+        """Return the estimate of the tick, for programs."""
         layout = self.layout
         block = self.block
         joint = layout.table(block, "joint")
@@ -256,12 +258,12 @@ class State:
 
     @property
     def measured(self) -> Measured:
-        """Return the measurements of the tick."""
+        """Return the measurements of the tick, for programs."""
         return Measured(self.tendon, self.layout.table(self.block, "joint"))
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
-        """Return the number of SYNCs sent, of accepted tension frames, and of frames with an old counter."""
+        """Return three numbers: SYNCs sent, accepted tension frames, and sensor frames that answered an older SYNC."""
         return self.whole(s.SYNCS), self.whole(s.TENSION_FRAMES), self.whole(s.STALE_FRAMES)
 
     # Decisions by their names.
@@ -273,7 +275,7 @@ class State:
 
     @property
     def latched(self) -> tuple[Latched, ...]:
-        """Return the latched faults."""
+        """Return the faults that are latched."""
         return self.decisions.latched
 
     @property
@@ -283,10 +285,10 @@ class State:
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """Return the names of motors not confirmed as disabled."""
+        """Return the names of motors whose drives have not confirmed that they are disabled."""
         return self.decisions.unconfirmed
 
-    # Drives: set-up from the decisions, values from the block.
+    # States of drives: their set-up is in the decisions, their values are in the block.
 
     def drive(self, n: int) -> DriveState:
         """Return the state of one drive."""

@@ -1,4 +1,4 @@
-"""Application of streamed targets to the state: opening of a stream, each target, end of the stream."""
+"""Application of a stream of targets to the state: opening the stream, applying each target, closing the stream."""
 
 import math
 
@@ -30,20 +30,20 @@ from handctl.programs.streams import (
 MAX_TARGET_AGE_S = 0.1
 """Age beyond which a target is ignored [s], because later targets replace it."""
 MAX_TARGET_GAP_PERIODS = 2.5
-"""Longest time between two targets from which a speed is computed [periods of the stream]."""
+"""Longest time between two targets for which the speed between them is computed [periods of the stream]."""
 MAX_SETPOINT_LEAD_N = 6.0
 """Largest distance of a streamed setpoint above the estimated tension [N].
 
 The tendon of a free digit bears no more than the digit's springs and friction. A setpoint far above
 this would spin the motor, which resembles a snapped tendon (T01) or an oscillation (N14b).
-Setpoints also keep this margin below the largest tension, for the overshoot.
+Setpoints also keep this margin below the largest tension, because the tension may overshoot.
 """
 OPEN, RUNNING = 1, 2
-"""Values of ``block.STREAMING``."""
+"""Values of the field ``block.STREAMING``."""
 
 
 def reference_of(model: HandModel, state: State) -> tuple[Vector, ...]:
-    """Return the present reference of each digit: (3, n) position, rate, and acceleration."""
+    """Return the present motion reference of each digit, (3, n): position, rate, and acceleration."""
     rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
     return tuple(rows[:, places] for places in model.digit_coordinates)
 
@@ -86,7 +86,7 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
     reference = reference_of(model, state)
     for d in digits:
         if state.progress.goals[d].kind != Kind.MOTION:
-            # Without a reference the motion starts at the present angles, at rest.
+            # A digit without a reference starts its motion at the present angles, at rest.
             reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
@@ -97,7 +97,7 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
 
 
 def close_stream(model: HandModel, state: State) -> None:
-    """Close the open stream, if any. The streamed digits come to rest."""
+    """Close the open stream, if there is one. The streamed digits come to rest."""
     if state.decisions.stream is None:
         return
     state.decide(stream=None, progress=bring_to_rest(model, state, only_streamed=True))
@@ -117,10 +117,10 @@ def bring_to_rest(model: HandModel, state: State, only_streamed: bool = False) -
 def apply_target(
     model: HandModel, state: State, target: Target | None, t_ns: int
 ) -> tuple[Event, ...]:
-    """Apply a target, and begin the motion to it.
+    """Apply a target of a stream, and begin the motion to the target.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         state: state of the tick, modified in place.
         target: parsed target, None for a malformed target.
         t_ns: time of the tick [ns].
@@ -201,11 +201,11 @@ def _begin_segment(
     Returns True if the target was clipped.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         state: state of the tick, modified in place.
         stream: stream of the target.
         values: (V,) values of the target.
-        sent_ns: time at which the client sent it [ns].
+        sent_ns: time at which the client sent the target [ns].
         t_ns: time of the tick [ns].
     """
     rows = state.layout.table(state.block, "coordinate")
@@ -223,7 +223,8 @@ def _begin_segment(
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
     steady = state.whole(s.STREAMING) == RUNNING and apart <= MAX_TARGET_GAP_PERIODS * stream.period
-    # Two targets that come together do not show the speed of the stream.
+    # Two targets that arrive together do not show the speed of the stream, so half a period is
+    # assumed at least.
     apart = max(apart, 0.5 * stream.period) if steady else math.inf
     return begin_segments(
         state.block, state.layout.places, aim, held, since, duration, apart,
@@ -232,7 +233,7 @@ def _begin_segment(
 
 
 def _count_target(state: State, row: int, text: str = "") -> tuple[Event, ...]:
-    """Count a target in a row of the state.
+    """Count a target in a counter of the state.
 
     Returns an event with the text for the first such target of a stream.
     """
@@ -242,7 +243,7 @@ def _count_target(state: State, row: int, text: str = "") -> tuple[Event, ...]:
 
 
 def stream_status(state: State) -> StreamStatus:
-    """Return the state of the open stream of targets."""
+    """Return the status of the open stream of targets."""
     if state.decisions.stream is None:
         return _NO_STREAM
     running = state.whole(s.STREAMING) == RUNNING

@@ -14,7 +14,7 @@ STATE_FIELD_OF = {
     "motor_torque_goal": "torque",
     "motor_temperature": "temperature",
 }
-"""Name of the block's field for each telemetry field that has another name in the block."""
+"""Name of the state block's field for each telemetry field that has another name in the block."""
 
 
 class TelemetryGatherer:
@@ -26,8 +26,8 @@ class TelemetryGatherer:
         Args:
             layout: layout of the state block.
         """
-        # In this block each element is its own index, so that a view of a field contains the
-        # indices of the field.
+        # Each element of this block is its own index, so the view of a field contains the indices
+        # of the field.
         numbered = np.arange(layout.size, dtype=np.float64)
         parts = [layout.view(numbered, STATE_FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
         ends = np.cumsum([0, *map(len, parts)]).tolist()
@@ -37,5 +37,5 @@ class TelemetryGatherer:
         }
 
     def __call__(self, block: Block) -> PackedTelemetry:
-        """Return the telemetry from a block."""
+        """Return the telemetry of a tick, copied from a state block."""
         return PackedTelemetry(block.take(self._index), self._places)

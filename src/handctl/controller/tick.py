@@ -1,10 +1,10 @@
-"""One tick of the controller as a pure function from received frames to frames to send.
+"""One tick of the controller, as a pure function from received frames to frames to send.
 
 ``TickIn`` contains all inputs, so that a logged tick can be executed again. The loop calls the
 three steps of a tick one by one: ``begin`` processes the received frames, ``command`` turns
 requests and goals into frames, ``conclude`` completes the output. In this way the loop reads
-requests and streamed targets as late as possible, and sends the commands as early as possible.
-``tick`` is all three.
+requests and streamed targets as late as possible, and sends the commands as early as possible. The
+function ``tick`` executes all three steps.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -81,7 +81,7 @@ class Controller:
         identities: identities of the drives at calibration, empty if unknown.
         other_limits: thresholds that replace those of the hand, None to use those of the hand.
         designs: cache of the designs for gains set during a run.
-        limits: thresholds of the safety monitor.
+        limits: thresholds of the safety monitor for the hand.
         layout: layout of the state block.
         constants: constants for the compiled code.
         wire: signal tables of the drives' cyclic frames.
@@ -115,7 +115,7 @@ class Controller:
     sync_row: Rows = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Compute the derived attributes."""
+        """Compute the attributes that follow from the other attributes."""
         prepare()
         limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
         layout = layout_of_state(self.model, len(self.sensors.ids))
@@ -147,7 +147,7 @@ class Controller:
             object.__setattr__(self, name, value)
 
     def initial(self) -> State:
-        """Return the state before the first tick, from the configuration alone."""
+        """Return the state before the first tick, which follows from the configuration alone."""
         drives = tuple(drive.initial() for drive in self.drives)
         decisions = Decisions(
             tuple(drive.with_values() for drive in drives),
@@ -167,7 +167,7 @@ class Controller:
         return tuple(frame for drive in self.drives for frame in drive.cut())
 
     def tick(self, before: State, entry: TickIn) -> tuple[State, TickOut]:
-        """Compute one tick.
+        """Compute one tick of the controller.
 
         Args:
             before: state after the previous tick.
@@ -184,7 +184,7 @@ class Controller:
         return step.conclude()
 
     def begin(self, before: State, entry: TickIn) -> "OpenTick":
-        """Process the received frames, and correct and predict the filter.
+        """Process the received frames, and correct and predict the tension filter.
 
         Args:
             before: state after the previous tick.
@@ -235,7 +235,7 @@ class Controller:
     # receive, estimate
 
     def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
-        """Process received frames, and correct and predict the filter.
+        """Process received frames, and correct and predict the tension filter.
 
         Returns the signs of a second controller.
         """
@@ -260,7 +260,8 @@ class Controller:
             frames: received frames.
             fresh_ns: earliest arrival of an answer to the latest SYNC [ns].
 
-        Returns the received identifiers that only this host may send, each once.
+        Returns the identifiers of received frames that only this host may send, each identifier
+        once.
         """
         tables = self.wire
         signs = list[str]()
@@ -287,12 +288,15 @@ class Controller:
             at += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
-        """Return the frames of amplifiers whose set-up is not complete, and whose values are not used."""
+        """Return the groups of frames from amplifiers whose set-up is not complete.
+
+        Their values are not used.
+        """
         pairs = zip(amplifiers, self.sensors.group_ranges, strict=True)
         return tuple([group for one, groups in pairs if one.phase != Phase.READY for group in groups])
 
     def _receive_service(self, state: State, frame: Frame) -> None:
-        """Give a frame to the state machine of its amplifier."""
+        """Pass a frame to the state machine of the amplifier that sent it."""
         i = self.amplifier_of[frame.bus, frame.can_id]
         before = state.decisions.amplifiers
         after = self.sensors.amplifiers[i].receive(before[i], frame)
@@ -312,7 +316,7 @@ class Controller:
         return tuple(out)
 
     def keep(self, state: State, n: int, drive_state: DriveState) -> None:
-        """Store the state of a drive in block and decisions, after its state machine has run."""
+        """Store the state of a drive in the state block and in the decisions, after its state machine has run."""
         before = state.decisions.drives[n]
         drive = self.drives[n]
         wire.store_drive(
@@ -348,7 +352,7 @@ class Controller:
         self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]
     ) -> tuple[Action, tuple[Finding, ...]]:
         """Detect faults, latch them, and choose the reaction."""
-        state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # before the tare a load cell may read any value
+        state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # before its tare, a load cell may read any value
         demanded, found = stages.find_faults(state.block, self.layout.places, *self._constants, self.layout.initial)
         new_findings = (
             faults_counting_since_now(self.limits, found, state.view("fault_ticks"))
@@ -385,7 +389,7 @@ class Controller:
         return events
 
     def _write_progress(self, state: State, before: State | None) -> None:
-        """Write goals changed by the program into the block."""
+        """Write the goals that the program has changed into the state block."""
         progress = state.progress
         old = before.progress if before else None
         if progress is old:
@@ -424,7 +428,7 @@ class Controller:
         Args:
             unchanged: state before the motor torques were computed.
             state: state after the motor torques were computed.
-            action: reaction demanded by safety.
+            action: reaction that safety demands.
             ticks: number of periods since the last tick.
         """
         pending = state.decisions.pending
@@ -456,8 +460,8 @@ class Controller:
             out[0] = self.sync_row
             out[0, PAYLOAD] = counter
             state.set_whole(s.SYNC_COUNTER, counter & 0xF)
-            # Answers of an amplifier before the end of its set-up are not used, and do not count as
-            # lost.
+            # Until the set-up of an amplifier is complete, its answers are not used, and missing
+            # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
             if not amplifiers or all(one.phase == Phase.READY for one in amplifiers):
                 state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
@@ -520,7 +524,7 @@ class Controller:
 
 @dataclass(slots=True)
 class OpenTick:
-    """A tick between its steps.
+    """A tick in progress, between its steps.
 
     Attributes:
         controller: controller with the gains of the tick.
@@ -529,7 +533,7 @@ class OpenTick:
         entry: inputs of the tick, without requests.
         signs: signs of a second controller.
         sent: frames to send, from ``command``.
-        action: reaction demanded by safety, from ``command``.
+        action: reaction that safety demands, from ``command``.
         events: events of the tick so far.
         unchanged: state before the motor torques were computed, if other gains are pending.
     """
@@ -548,7 +552,7 @@ class OpenTick:
         """Apply requests, and return the frames to send.
 
         Args:
-            requests: requests of operators and programs, JSON texts in order.
+            requests: requests of operators and programs, as JSON texts in the order of arrival.
 
         Raises:
             ValueError: a command cannot be encoded. The command is not sent.
@@ -562,7 +566,7 @@ class OpenTick:
 
 
 def send_torque_only(state: State, n: int) -> None:
-    """Store that the state machine of a drive has sent a torque command instead of the position command."""
+    """Write into the state that a drive's state machine has sent a torque command instead of the position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
     servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]
@@ -572,7 +576,7 @@ _ACTIONS = {int(action): action for action in Action}
 
 
 def _fault_event(finding: Finding) -> Event:
-    """Return the event that reports a finding."""
+    """Return the event that reports a fault that the safety monitor has found."""
     fault = finding.fault
     level = "error" if fault.action >= Action.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"

@@ -1,21 +1,21 @@
-"""State block of a tick: every quantity with its table, unit and meaning.
+"""Declaration of every quantity of the state block, which each tick passes to the next: table, unit and meaning.
 
-A tick copies the block of the last tick and writes into the copy. Results of the tick
-(measurements, estimates, the command) are in the same block. So the log, the viewer and the next
-tick read the same data. ``state_tables`` returns the tables by name, for compiled code. ``schema``
-explains how rows are addressed.
+A tick copies the block of the last tick and writes into the copy. The results of a tick
+(measurements, estimates, the command) are stored in the same block as its memory. So the log, the
+viewer and the next tick read the same data. ``state_tables`` returns the tables by name, for
+compiled code. The module ``schema`` explains how a row of a table is addressed.
 
-The axes and their lengths are:
+The tables have these axes. The capital letter or number after a name is the length of the axis:
 
 - tendon, N. A motor has the index of its tendon.
 - joint, J.
 - digit, D.
 - coordinate, C: the reduced coordinates of all digits.
 - node, N + 1: the motors, then the load cells.
-- group, G: the frames of the sensor node.
-- instance: the motors, tendons, joints or nodes that can have a fault.
-- run, 1.
-- servo: N if a drive of the hand closes a position loop, else 0.
+- group, G: the frames in which the sensor node sends its readings.
+- instance: the motors, tendons, joints or nodes in which a fault can occur, whichever are most.
+- run, 1: numbers that exist once for the whole hand.
+- servo: N if any drive of the hand closes a position loop by itself, else 0.
 """
 
 import math
@@ -29,7 +29,7 @@ from handctl.core.schema import Block, Places, Schema
 
 NAN = math.nan
 AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run", "servo")
-"""Axes, in the order of the lengths at the start of a layout."""
+"""Names of the axes. ``Layout.places`` begins with their lengths, in this order."""
 TABLES = (
     "tendon", "joint", "digit", "coordinate", "run", "servo",
     "tendon_int", "joint_int", "digit_int", "node_int", "group_int", "instance_int", "run_int",
@@ -39,8 +39,8 @@ STATE = Schema(*TABLES, optional="servo")
 _real = STATE.real
 _whole = STATE.whole
 
-# Tension filter. The seven states come first, so that they are one contiguous vector (7 N) for
-# filterpy.
+# Tension filter. The seven states of each tendon are declared first, so that they form one
+# contiguous vector (7 N) for filterpy.
 TRAVEL = _real("travel", "tendon", "m",
     "length of tendon wound on the spool, predicted to the present")  # fmt: skip
 SPEED = _real("speed", "tendon", "m/s", "rate of the travel")
@@ -133,7 +133,8 @@ CONTACT = _real("contact", "digit", "", "1 if the digit is in contact, else 0")
 PLANNED_CONTACT = _whole("planned_contact", "digit", "",
     "1 if the program knows that the digit touches an object")  # fmt: skip
 
-# Contact of closing digits, and motion of a grip; see estimation.contact.
+# Contact of digits that close, and motion of the tendons while the hand holds an object, see
+# estimation.contact.
 CLOSING = _whole("closing", "digit", "", "1 while the program closes the digit until contact")
 SMOOTHED_TIP_FORCE = _real("felt", "digit", "N",
     "force at the tip of a closing digit, low-passed over 5 ms; 0 for other digits")  # fmt: skip
@@ -179,7 +180,8 @@ STIFFNESS_FRACTION = _real("stiffness_fraction", "tendon", "",
 DAMPING_FRACTION = _real("damping_fraction", "tendon", "",
     "fraction of the motion loop's damping that is used", initial=1.0)  # fmt: skip
 
-# Stream of targets from a client, see ``law.stream``. Times are those of the run's clock.
+# Stream of targets from a client, see ``law.stream``. Times of the stream are read from the clock
+# of the run.
 STREAM_SEGMENT = _real("stream_segment", "coordinate", "rad .. rad/s5",
     "coefficients of the polynomial from the reference to the target", rows=6)  # fmt: skip
 STREAM_TARGET = _real("stream_target", "coordinate", "rad",
@@ -310,7 +312,7 @@ TENSION_FRAMES = _whole("tension_frames", "run", "",
 STALE_NOW = _whole("stale_now", "run", "",
     "1 if a sensor frame of this tick answered an older SYNC, 2 if after a fresh frame, else 0")  # fmt: skip
 
-# Monitor. The fields from here to _MONITOR_END are reset when the hand is armed.
+# Memory of the fault detectors. ``reset_monitor`` resets the fields from here to _MONITOR_END.
 _MONITOR_FIRST = {table: STATE.rows(table) for table in TABLES}
 ACCEPTED_POSITION = _real("accepted", "tendon", "rad",
     "latest motor position that the outlier test accepted", initial=NAN)  # fmt: skip
@@ -395,7 +397,7 @@ REPORT_ON_TIME = _real("report_on_time", "tendon", "",
     "number of ticks in a row in which the motor replied in time")  # fmt: skip
 _MONITOR_END = {table: STATE.rows(table) for table in TABLES}
 
-# Monitor. These fields are not reset when the hand is armed.
+# Memory of the fault detectors that ``reset_monitor`` does not reset.
 LOST_REPLIES = _whole("lost", "node", "",
     "ticks without a reply, one bit each: the last 50, and the 50 before", rows=2)  # fmt: skip
 MALFORMED = _whole("misshapen", "node", "",
@@ -409,7 +411,7 @@ REQUEST_TICKS = _whole("question", "tendon", "",
 FAULT_TICKS = _whole("fault_ticks", "instance", "",
     "number of ticks in a row in which each fault is present", rows=64)  # fmt: skip
 
-# Facts of this tick that detectors judge.
+# Facts of this tick that the fault detectors judge.
 T_NS = _whole("t_ns", "run", "ns", "time of the tick")
 LATE_NS = _whole("late_ns", "run", "ns", "delay of the start of the tick")
 MISSED_TICKS = _whole("missed", "run", "", "number of ticks skipped before this tick")
@@ -422,7 +424,7 @@ CONSISTENCY_CHANGED = _whole("changed", "run", "", "1 if DOUBTFUL or BLOCKED cha
 TARED = _whole("tared", "run", "", "1 if the load cells' zero is known", initial=1)
 NEW_FAULTS = _whole("found_now", "run", "", "number of faults that became active in this tick")
 
-# The run.
+# State of the whole run.
 K = _whole("k", "run", "", "number of the last tick; -1 before the first", initial=-1)
 MODE = _whole("mode", "run", "", "mode of the hand, core.types.Mode")
 MODE_SINCE = _real("mode_since", "run", "s", "time at which the mode began")
@@ -434,7 +436,7 @@ CLEARING = _whole("clearing", "run", "",
 
 
 class Tables(NamedTuple):
-    """Tables of a block of ``STATE``, each (rows, length of the axis). ``run`` and ``run_int`` are (rows,)."""
+    """Tables of a state block, each (rows, length of the axis), except ``run`` and ``run_int``, which are (rows,)."""
 
     tendon: NDArray[np.float64]
     joint: NDArray[np.float64]
@@ -453,11 +455,11 @@ class Tables(NamedTuple):
 
 @inner
 def state_tables(block: Block, at: Places) -> Tables:
-    """Return the tables of a block.
+    """Return the tables of a state block.
 
     Args:
         block: state block.
-        at: ``Layout.places`` of the block.
+        at: ``Layout.places`` of the layout of the block.
     """
     whole = block.view(np.int64)
     return Tables(
@@ -486,12 +488,12 @@ JOINT_END = _MONITOR_END["joint"]
 JOINT_INT_FIRST = _MONITOR_FIRST["joint_int"]
 JOINT_INT_END = _MONITOR_END["joint_int"]
 RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
-"""First and last rows of each table that are reset when the hand is armed."""
+"""For each table, the first row that ``reset_monitor`` resets, and the row behind the last one that it resets."""
 
 
 @inner
 def reset_monitor(x: Tables, initial: Tables) -> None:
-    """Reset the memory of the fault detectors that need a hand under torque."""
+    """Reset the memory of the fault detectors that work while the hand is under torque."""
     for n in range(x.tendon.shape[1]):
         for row in range(TENDON_FIRST, TENDON_END):
             x.tendon[row, n] = initial.tendon[row, n]

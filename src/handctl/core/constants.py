@@ -1,7 +1,8 @@
-"""Constants of a hand for compiled code, in a block of their own besides the state block.
+"""Constants of a hand for compiled code. They form a separate block, besides the state block.
 
 ``HandConstants`` fills the block from a ``HandModel``, from drives and from sensors.
-``constant_tables`` returns the tables by name, for compiled code. New gains need a new block.
+``constant_tables`` returns the tables by name, for compiled code. A change of gains needs a new
+block of constants.
 """
 
 from typing import NamedTuple
@@ -25,7 +26,7 @@ HAND = Schema(*TABLES)
 _real = HAND.real
 _whole = HAND.whole
 
-# Tendons and motors, at the spool.
+# Tendons and motors. Motor quantities are converted to forces and lengths at the spool.
 MOTOR_MASS = _real("motor_mass", "tendon", "kg", "reflected rotor inertia")
 MOTOR_DAMPING = _real("motor_damping", "tendon", "N s/m", "viscous friction of the motor")
 MOTOR_COULOMB = _real("coulomb", "tendon", "N", "Coulomb friction of the motor")
@@ -132,7 +133,7 @@ COORDINATES_FIRST = _whole("coordinates_first", "digit", "",
 COORDINATES_END = _whole("coordinates_end", "digit", "",
     "index of the coordinate after the digit's last")  # fmt: skip
 
-# Structure.
+# Structure of the hand: relations between joints, tendons and reduced coordinates.
 EXCURSION_TO_JOINTS = _real("excursion_to_joints", "joint*tendon", "rad/m",
     "joint angles per excursion")  # fmt: skip
 POSTURE_TORQUE = _real("posture_torque", "joint*tendon", "m",
@@ -151,8 +152,8 @@ PULLEY_WEIGHTS = _real("pulley_weight", "tendon*joint", "",
 COUPLING = _real("coupling", "joint*coordinate", "", "joint angles per coordinate")
 REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms about the coordinates")
 
-# Moment arms that depend on the joint angle. The tables above that depend on R are then for the
-# present angles.
+# Moment arms that depend on the joint angle. For a digit with such arms, the tables above that
+# depend on R contain the values at the present joint angles.
 HAS_VARYING_ARM = _whole("varying", "tendon", "",
     "1 if a moment arm of the tendon depends on the joint angle")  # fmt: skip
 DIGIT_VARYING = _whole("digit_varying", "digit", "",
@@ -167,7 +168,7 @@ EXPLAINED_OFFSET = _real("explained_offset", "tendon", "m",
     "excursion less R R^+ s, by the linear relation at the present angles")  # fmt: skip
 MEAN_BALANCE = _real("mean_balance", "tendon", "N", "balance tension with the mean moment arms")
 
-# Posture in the null space.
+# Null space of the moment arms: changes of a digit's posture that change no tendon excursion.
 COMPLIANCE = _real("compliance", "joint*joint", "rad/(N m)",
     "joint angles per joint torque at constant excursion")  # fmt: skip
 COORDINATE_PROJECTION = _real("spread", "joint*joint", "",
@@ -186,8 +187,8 @@ HAS_FUSED_JOINTS = _whole("joints_fused", "run", "",
 POSTURE_TICKS = _whole("posture_ticks", "run", "",
     "ticks from one estimate in the null space to the next")  # fmt: skip
 
-# Tension filter: design of each tendon and kind, element by element. A kind is a regime, plus 3
-# with added noise.
+# Tension filter: the elements of each filter design. A tendon has six kinds of design. The index of
+# a kind is the regime of the tendon, plus 3 if process noise is added.
 DESIGN = _real("design", "tendon*kind*element", "", "blocks of the filter, see the elements below")
 F_AT = 0
 B_AT = 49
@@ -203,15 +204,15 @@ CELL_SIGMA_AT = 216
 CELL_ERROR_VARIANCE_AT = 217
 CELL_ERROR_OBSERVABLE_AT = 218
 ELEMENTS = 219
-"""Number of elements of a filter design. The constants above are the first element of each part.
+"""Number of elements of a filter design. The constants above are the index of the first element of each part.
 
 The parts are F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), the tension row
 (7), the inverse covariance of the innovations (encoder squared, twice the product, load cell
-squared), and four single numbers, see ``filter_stack.FilterBlock``.
+squared), and four single numbers. ``filter_stack.FilterBlock`` explains the parts.
 """
 KINDS = 6
 
-# Contact and grip: update fraction of each low-pass filter, in a tick.
+# Contact and grip: fraction by which each low-pass filter approaches its input in a tick.
 TIP_FORCE_FRACTION = _real("felt_fraction", "run", "",
     "update fraction of the smoothed force at the tip")  # fmt: skip
 TIP_FORCE_MEAN_FRACTION = _real("usual_fraction", "run", "",
@@ -223,7 +224,7 @@ GRIP_FAST_FRACTION = _real("fast_fraction", "run", "",
 GRIP_SLOW_FRACTION = _real("slow_fraction", "run", "",
     "update fraction of the slow average of a grip")  # fmt: skip
 
-# Touch and monitor.
+# Touch, and limits of the fault detectors.
 TOUCH_DECAY = _real("touch_kept", "run", "",
     "fraction of the smoothed unexplained tension that remains after a tick")  # fmt: skip
 STEP_LIMIT = _real("step_limit", "tendon", "rad", "largest step of a motor position in a period")
@@ -274,7 +275,7 @@ TENSION_GROUPS = _whole("tension_groups", "run", "", "frame groups that carry te
 
 
 class ConstantTables(NamedTuple):
-    """Tables of a block of ``HAND``, each (rows, lengths of the axes). ``design`` is (N, kind, element)."""
+    """Tables of a block of constants, each (rows, lengths of its axes), except ``design``: (N, kind, element)."""
 
     tendon: NDArray[np.float64]
     joint: NDArray[np.float64]
@@ -298,7 +299,7 @@ def constant_tables(block: Block, at: Places) -> ConstantTables:
 
     Args:
         block: block of constants.
-        at: ``Layout.places`` of the block.
+        at: ``Layout.places`` of the layout of the block.
     """
     n = at[0]
     j = at[1]

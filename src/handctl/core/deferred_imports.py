@@ -1,8 +1,9 @@
-"""Import of scipy, filterpy and control without the modules that they import and handctl does not use.
+"""Fast import of scipy, filterpy and control, without those of their modules that handctl does not use.
 
-``scipy.stats``, ``scipy.ndimage`` and the plots of control take longer to import than all other
-modules of a run. Half of the time of ``scipy.linalg`` is for a Fortran compiler and test functions.
-Such a module is imported when one of its functions is used.
+The import of ``scipy.stats``, ``scipy.ndimage`` and the plots of control takes longer than the
+import of all other modules of a run. Half of the import time of ``scipy.linalg`` is spent on a
+Fortran compiler and on test functions. A stand-in replaces each module in ``UNUSED``. It imports
+the real module when one of the module's functions is used.
 """
 
 import importlib
@@ -14,11 +15,11 @@ from types import ModuleType
 from typing import Any
 
 UNUSED = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
-"""Modules that filterpy or scipy import for functions that handctl does not call."""
+"""Modules that filterpy or scipy import, for functions that handctl does not call."""
 
 
 class _Deferred:
-    """A function or distribution of a module, imported at its first use."""
+    """A function or distribution of a module that is imported when the function is used."""
 
     def __init__(self, module: str, name: str) -> None:
         self._module = module
@@ -28,28 +29,34 @@ class _Deferred:
         return lambda *given, **named: self._use(lambda real: getattr(real, method)(*given, **named))
 
     def __call__(self, *given: Any, **named: Any) -> Any:
-        """Call the real function."""
+        """Import the module, and call the real function."""
         return self._use(lambda real: real(*given, **named))
 
     def _use(self, use: Callable[[Any], Any]) -> Any:
-        """Use the real object; compute nothing during the import of filterpy, which tries one call."""
+        """Apply a function to the real object.
+
+        During the import of filterpy, which tries one call, return None.
+        """
         module: Any = importlib.import_module(self._module)
         real = getattr(module, self._name)
         return None if isinstance(real, _Deferred) else use(real)
 
 
 class _StandIn(ModuleType):
-    """Module that imports the real module when one of its public names is used."""
+    """Stand-in for a module.
+
+    It imports the real module when one of the module's functions is used.
+    """
 
     def __getattr__(self, name: str) -> _Deferred:
-        if name.startswith("__"):  # the import system asks for __path__ and the like
+        if name.startswith("__"):  # the import system looks for __path__ and similar names
             raise AttributeError(name)
         return _Deferred(self.__name__, name)
 
 
 @contextmanager
 def deferred_imports() -> Iterator[None]:
-    """Replace the modules of ``UNUSED`` during an import, also as attributes of their packages."""
+    """Replace the modules in ``UNUSED`` by stand-ins within a ``with`` block, also as attributes of their packages."""
     replaced = [name.rpartition(".") for name in UNUSED if name not in sys.modules]
     places = [(importlib.import_module(package), part) for package, _, part in replaced]
     for package, part in places:
@@ -64,10 +71,10 @@ def deferred_imports() -> Iterator[None]:
 
 
 def import_without_package(name: str) -> ModuleType:
-    """Import a module of a package without the package's own ``__init__``.
+    """Import a module of a package without executing the ``__init__`` of the package.
 
-    A later import of the package is not affected. A module with the package's name in the folder of
-    the user's program, such as ``control.py``, is ignored.
+    A later import of the whole package is not affected. If the folder of the user's program has a
+    file with the name of the package, such as ``control.py``, this file is ignored.
 
     Args:
         name: full name of the module, for example ``control.mateqn``.

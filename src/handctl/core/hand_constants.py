@@ -1,4 +1,4 @@
-"""Block of a hand's constants, filled from model, drives, sensors and limits."""
+"""Block of constants of a hand, filled from its model, drives, sensors and limits."""
 
 import functools
 import math
@@ -33,7 +33,7 @@ Smaller entries are rounding errors.
 
 
 def layout_of_constants(model: HandModel) -> Layout:
-    """Return the layout of a hand's constants."""
+    """Return the layout of the block of constants for a hand."""
     return Layout(HAND, {
         "tendon": model.tendon_count,
         "joint": len(model.hand.joints),
@@ -47,7 +47,7 @@ def layout_of_constants(model: HandModel) -> Layout:
 
 
 class HandConstants:
-    """Constants of a hand with gains.
+    """Constants of a hand and of its gains.
 
     Attributes:
         layout: layout of the block.
@@ -55,7 +55,7 @@ class HandConstants:
     """
 
     def __init__(self, model: HandModel, more: Mapping[str, object]) -> None:
-        """Fill the block.
+        """Fill the block of constants.
 
         Args:
             model: model of the hand.
@@ -150,11 +150,11 @@ def _law_constants(model: HandModel) -> dict[str, object]:
 
 
 def servo_constants(model: HandModel) -> dict[str, Vector]:
-    """Return True for drives that close a position loop, and the stiffness and damping of these loops.
+    """Return which drives close a position loop, and the stiffness and damping of these loops.
 
-    Without values in the hand file, the loops have the gains of the motion loop. If the hand file
-    gives only the stiffness, the damping ratio is that of the motion loop. At low control rates the
-    stiffness is smaller than in the hand file, see ``servo.MAX_PHASE_RAD``.
+    If the hand file gives no values, these loops have the gains of the motion loop. If the hand
+    file gives only the stiffness, the loops have the damping ratio of the motion loop. At low
+    control rates, the stiffness is smaller than in the hand file, see ``servo.MAX_PHASE_RAD``.
     """
     space = model.space
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
@@ -176,7 +176,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
 def _has_exact_solution(digit: DigitModel) -> list[bool]:
     """Return True for each tendon of a digit that has as many tendons as coordinates.
 
-    A joint torque then determines the tensions.
+    In such a digit, a joint torque determines the tensions.
     """
     tendons, coordinates = digit.reduced_moment_arms.shape
     return [tendons == coordinates] * tendons
@@ -219,8 +219,8 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
         "hand_varying": bool(model.hand.has_varying_arm.any()),
         "arm_polynomial": np.moveaxis(model.hand.arm_polynomials, 2, 0),
         "mean_balance": model.redundancy.balance,
-        # The offsets are zero for constant arms. ``estimation.structure`` writes them in each tick
-        # for varying arms.
+        # The two offsets are zero for constant moment arms. ``estimation.structure`` writes them in
+        # each tick for varying moment arms.
         "angle_offset": 0.0,
         "explained_offset": 0.0,
         "torque_to_tension": model.torque_to_tension,
@@ -261,7 +261,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
 
 
 def _compliance(digit: DigitModel) -> Vector:
-    """Return joint angles per joint torque at constant excursion, N (N^T K N)^-1 N^T, (n, n) [rad/(N m)]."""
+    """Return how far joint torques turn the joints at constant excursion, N (N^T K N)^-1 N^T, (n, n) [rad/(N m)]."""
     free = null_space(digit.moment_arms)
     if not free.shape[1]:
         return np.zeros((digit.joint_count, digit.joint_count))
@@ -270,7 +270,7 @@ def _compliance(digit: DigitModel) -> Vector:
 
 
 def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
-    """Return the probability of each contact place, for each joint of a digit, (places, n).
+    """Return the assumed probability of each place of contact, for each joint of a digit, (places, n).
 
     The places are the middles of the links, the tip, and all joints alike, see ``posture``.
     """
@@ -282,7 +282,7 @@ def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
 
 @functools.lru_cache(maxsize=16)
 def filter_design_array(model: HandModel) -> NDArray[np.float64]:
-    """Return all elements of the filter's designs, (N, KINDS, ELEMENTS)."""
+    """Return the elements of all filter designs of a hand, (N, KINDS, ELEMENTS)."""
     return np.array([[_block_elements(block) for block in tendon] for tendon in model.filter.blocks])
 
 
@@ -296,7 +296,7 @@ def _block_elements(block: FilterBlock) -> Vector:
 
 
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
-    """Return the update fraction (8, N) of each low-passed residual, see ``detectors.residuals``."""
+    """Return the fraction (8, N) by which each low-passed residual approaches its input in an update."""
     every = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
     every[2] = motor_period  # row COMMAND_DIFFERENCE
     every[5] = joint_period  # row SLIP

@@ -1,4 +1,4 @@
-"""Parameters identified from runs, and the hand with these parameters for the controller."""
+"""Parameters that were identified from runs, and the hand description with these parameters for the controller."""
 
 import copy
 from collections.abc import Mapping
@@ -18,24 +18,24 @@ TENDON_KEYS = {
     "capstan": "friction_coefficient",
     "pretension": "pretension_N",
 }
-"""Key of the hand file's tendon table that each identified parameter replaces."""
+"""Key in the hand file's tendon table whose value each identified parameter replaces."""
 MOTOR_KEYS = {
     "motor_inertia": "inertia_kg_m2",
     "motor_viscous": "viscous_N_m_s_per_rad",
     "motor_coulomb": "coulomb_N_m",
 }
-"""Key of the hand file's motor table that each identified parameter replaces."""
+"""Key in the hand file's motor table whose value each identified parameter replaces."""
 DIGIT_KEYS = {
     "spring_stiffness": "spring_stiffness_N_m_per_rad",
     "spring_preload": "spring_preload_rad",
     "joint_damping": "joint_damping_N_m_s_per_rad",
 }
-"""Key of the hand file's digit table that each identified parameter scales.
+"""Key in the hand file's digit table whose values each identified parameter scales.
 
 The parameter is a factor on the values of all joints of the digit.
 """
 LENGTH_KEYS = ("polynomial_m", "arm_m")
-"""Keys with lengths in the table of a moment arm that depends on the joint angle."""
+"""Keys whose values are lengths, in the hand file's table of a moment arm that depends on the joint angle."""
 UNITS = {
     "torque_gain": "1", "motor_inertia": "kg m2", "motor_viscous": "N m s/rad", "motor_coulomb": "N m", "delay": "s",
     "tendon_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
@@ -44,11 +44,11 @@ UNITS = {
 """Unit of each parameter that can be identified. ``x file`` is a factor on the value of the hand file.
 
 ``torque_gain`` is the torque at the spool per commanded torque. ``moment_arm`` is one factor on the
-arms of a tendon at all its joints.
+moment arms of a tendon about all its joints.
 """
 
 FORMER_NAMES = {"rope_stiffness": "tendon_stiffness"}
-"""Present name of a parameter by its name in earlier versions."""
+"""Present name of a renamed parameter, by its name in earlier versions of handctl."""
 
 
 class Identified(Document):
@@ -59,9 +59,9 @@ class Identified(Document):
     values: tuple[float, ...]
     """Identified values, in the units of ``UNITS``."""
     half_widths: tuple[float, ...]
-    """Half widths of the 95 % intervals."""
+    """Half widths of the 95 % confidence intervals of the values."""
     covariance: tuple[tuple[float, ...], ...]
-    """Covariance of the values in their units, rows and columns as ``names``."""
+    """Covariance of the values in their units. Rows and columns have the order of ``names``."""
     missing: tuple[str, ...] = ()
     """Parameters that the data cannot identify, each with the reason."""
     log: tuple[str, ...] = ()
@@ -72,7 +72,7 @@ class Identified(Document):
     @field_validator("names", mode="before")
     @classmethod
     def _replace_former_names(cls, names: object) -> object:
-        """Replace the names of earlier versions by the present names."""
+        """Replace parameter names of earlier versions by the present names."""
         return tuple(FORMER_NAMES.get(name, name) for name in names) if isinstance(names, list | tuple) else names
 
     @model_validator(mode="after")
@@ -88,14 +88,14 @@ class Identified(Document):
         return self
 
     def get(self, name: str, otherwise: float) -> float:
-        """Return the value of a parameter, or ``otherwise`` if it was not identified."""
+        """Return the value of a parameter, or ``otherwise`` if this parameter was not identified."""
         return self.values[self.names.index(name)] if name in self.names else otherwise
 
     def beside(self, older: "Identified | None") -> "Identified":
         """Return these parameters, together with the parameters of an older identification that are missing here.
 
-        So a run that identifies few parameters does not remove the others. Parameters of different
-        runs are uncorrelated.
+        So a run that identifies few parameters does not remove the other parameters. Parameters of
+        different runs count as uncorrelated.
         """
         others = [i for i, name in enumerate(older.names) if name not in self.names] if older else []
         if older is None or not others:
@@ -117,7 +117,7 @@ class Identified(Document):
 
 
 def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
-    """Return the hand with identified parameters in place of the values of the hand file.
+    """Return the hand description with identified parameters in place of the values of the hand file.
 
     Args:
         hand: description from the hand file.
@@ -140,7 +140,7 @@ def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
 
 
 def torque_gain(hand: Hand, found: dict[str, Identified]) -> Vector:
-    """Return (N,) the torque at the spool per commanded torque of each drive, 1 if not identified."""
+    """Return the torque at the spool per commanded torque of each drive (N,), 1 if it was not identified."""
     return np.array([found[t.name].get("torque_gain", 1.0) if t.name in found else 1.0 for t in hand.tendon])
 
 
@@ -169,7 +169,7 @@ def _replace_values(table: dict[str, object], keys: dict[str, str], known: Ident
 
 
 def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
-    """Scale the moment arms of a tendon: numbers, polynomials, or tables of angles and arms."""
+    """Scale the moment arms of a tendon, which are numbers, polynomials, or tables of angles and arms."""
     if factor == 1.0:
         return
     for joint, arm in tendon["moment_arm_m"].items():

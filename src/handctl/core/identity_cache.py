@@ -1,4 +1,7 @@
-"""Cache of a function's values for immutable objects, by the identity of the object."""
+"""Caches for the values of a function.
+
+They find the value of an immutable object by the object's identity.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
@@ -9,23 +12,24 @@ MAX_ENTRIES = 256
 
 
 class SequenceCache(Generic[T]):
-    """Values of a function of each item of a sequence.
+    """Values of a function for each item of a sequence.
 
-    Most items are the same objects from one sequence to the next. Their values are taken over.
+    From one sequence to the next, most items are the same objects. Their values are taken from the
+    last call.
     """
 
     def __init__(self, function: Callable[[T], bytes]) -> None:
         """Create an empty cache.
 
         Args:
-            function: function of an item.
+            function: function that computes the value of an item.
         """
         self._function = function
         self._items: Sequence[T] = ()
         self._values: list[bytes] = []
 
     def __call__(self, items: Sequence[T]) -> list[bytes]:
-        """Return the value of each item."""
+        """Return the function's value of each item of a sequence."""
         function = self._function
         if len(items) == len(self._items):
             known = zip(items, self._items, self._values, strict=True)
@@ -37,9 +41,9 @@ class SequenceCache(Generic[T]):
 
 
 class IdentityCache(Generic[T]):
-    """Cache of a function's values for immutable objects. An object is found by its identity.
+    """Cache of a function's values for immutable objects, which are found by their identity.
 
-    Equality would not suffice: 1, 1.0 and True are equal, but have different bytes.
+    The equality of objects would not suffice: 1, 1.0 and True are equal, but have different bytes.
     """
 
     def __init__(self, function: Callable[[T], bytes]) -> None:
@@ -52,13 +56,13 @@ class IdentityCache(Generic[T]):
         self._entries: dict[int, tuple[T, bytes]] = {}
 
     def __call__(self, key: T) -> bytes:
-        """Return the function's value for an object, from the cache if it is there."""
+        """Return the function's value for an object, from the cache if the cache contains the object."""
         entry = self._entries.get(id(key))
         if entry is not None and entry[0] is key:
             return entry[1]
         if len(self._entries) >= MAX_ENTRIES:
             self._entries.clear()
         value = self._function(key)
-        # The entry holds the object, so that no other object can get its identity.
+        # The cache entry refers to the object, so that no other object can get the same identity.
         self._entries[id(key)] = key, value
         return value

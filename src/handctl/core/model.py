@@ -24,14 +24,14 @@ with deferred_imports():
     from scipy.linalg import block_diag
 
 BLIND_SIGMAS = 2.0
-"""Margin of the limits of a tendon without load cell, in standard deviations of its estimated tension."""
+"""Margin of the tension limits of a tendon without load cell, in standard deviations of its estimated tension."""
 Inverse = Callable[[DigitModel, Values, Values, Values], tuple[float, ...]]
 """Inverse dynamics: a function of digit, joint angles, rates and accelerations that returns the joint torques."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandModel:
-    """A hand, its gains, and all quantities derived from both.
+    """A hand, its gains, and all quantities that follow from both.
 
     Attributes:
         hand: description of the hand.
@@ -45,22 +45,24 @@ class HandModel:
         space: constants of the hand along the tendons.
         filter: steady-state filter of each tendon.
         motion: feedback gains of each tendon.
-        digit_of: for each tendon, the index of the digit.
+        digit_of: for each tendon, the index of its digit.
         excursion_to_joints: (J, N) joint angles per excursion [rad/m].
         torque_to_tension: (N, J) smallest tensions per joint torque [1/m].
-        pulleys: (N, J) 1 where a tendon passes a joint's pulley.
+        pulleys: (N, J) 1 where a tendon passes the pulley of a joint, else 0.
         pulley_weights: (N, J) moment arm at each pulley, as a fraction of the sum over all pulleys
             of the tendon.
         friction: (N,) friction coefficient of the pulleys.
         wrap: (N,) wrap angle before the first joint pulley [rad].
-        floor: (N,) smallest tension at the load cell [N], minus the ceiling for a spool pair.
-        ceiling: (N,) largest tension at the load cell [N], of the net tension for a spool pair.
+        floor: (N,) smallest tension at the load cell [N]. For a spool pair it is the negative
+            ceiling.
+        ceiling: (N,) largest tension at the load cell [N]. For a spool pair it is the largest net
+            tension.
         torque_limit: (N,) largest motor torque that the host may command [N m].
         redundancy: directions of the tendons, and tensions that are in balance.
         tree: tree of all links of the hand.
-        blind_margin: (N,) margin of the limits for a tension that is estimated without load cell
-            [N]. It is 0 with load cell.
-        torque_gain: (N,) torque at the spool per commanded torque, None if not identified.
+        blind_margin: (N,) margin of the tension limits of a tendon without load cell [N]. It is 0
+            with a load cell.
+        torque_gain: (N,) torque at the spool per commanded torque, None if it was not identified.
         inverse: inverse dynamics of a digit. Experiments replace it.
     """
 
@@ -93,14 +95,14 @@ class HandModel:
 
     @staticmethod
     def of(hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None) -> "HandModel":
-        """Derive the model, and design all gains. The design takes about 0.1 s.
+        """Derive the model of a hand, and design all its gains, which takes about 0.1 s.
 
         Args:
             hand: description of the hand.
             gains: gains of the controller.
             rate_hz: control rate [Hz].
-            torque_gain: (N,) identified torque at the spool per commanded torque, None if not
-                identified.
+            torque_gain: (N,) identified torque at the spool per commanded torque, None if it was
+                not identified.
         """
         digits = tuple(DigitModel.of(hand, digit.name) for digit in hand.digit)
         space = tendon_space(hand, digits)
@@ -109,8 +111,8 @@ class HandModel:
         period = 1.0 / rate_hz
         filters = design_filter(space, gains.filter, period, _joint_period(hand, period))
         margin = np.where(hand.has_cell, 0.0, BLIND_SIGMAS * filters.held_sigma)
-        # Only surplus tendons get the margin on the floor. In other digits a higher floor would
-        # close the digit.
+        # The floor is raised by the margin only in digits with surplus tendons. Any other digit
+        # would be closed by a higher floor.
         held = np.array(
             [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits for _ in digit.moment_arms]
         )
@@ -154,14 +156,14 @@ class HandModel:
     def relaxed(self) -> Vector:
         """Return the tensions (N,) of a relaxed hand [N].
 
-        Surplus tendons keep their balance. A spool pair has no net tension.
+        Surplus tendons keep their balance tensions. A spool pair has no net tension.
         """
         single = np.where(self.redundancy.balance > 0.0, self.redundancy.balance, RELAX_FLOOR_N)
         return np.where(self.is_pair, 0.0, single)
 
     @property
     def is_pair(self) -> NDArray[np.bool_]:
-        """Return True for each spool pair, (N,)."""
+        """Return for each tendon True if it is a spool pair, (N,)."""
         return self.hand.is_pair
 
     @property
@@ -178,16 +180,17 @@ def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
-    """Return (N,) the largest torque at the spool [N m]: the limit of the hand file, within the drive's range.
+    """Return the largest torque (N,) at the spool [N m]: the limit of the hand file, within the drive's range.
 
     A drive that makes less torque than commanded needs a larger command, so its limit is lower. The
-    limit has a margin of 1e-12 for the rounding of divisions and products by spool and gain,
-    because drives refuse commands that exceed the limit even by the last bit.
+    limit has a margin of 1e-12 of its value, because drives refuse commands that exceed their limit
+    even by the last bit. Such an excess could come from rounding, when torques are divided or
+    multiplied by spool radius and torque gain.
     """
     largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (1.0 - 1e-12)
     return largest if gain is None else largest * np.minimum(gain, 1.0)
 
 
 def _joint_period(hand: Hand, period: float) -> Vector:
-    """Return (N,) the time between two readings of all joints of a tendon [s], inf if a joint has no encoder."""
+    """Return the time (N,) between two readings of all joints of a tendon [s], inf if a joint has no encoder."""
     return np.where(hand.covered, hand.sensor_node.joint_decimation * period, np.inf)

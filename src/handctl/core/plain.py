@@ -1,8 +1,9 @@
-"""Conversion of decisions to plain values and back, for the hash of the state and for snapshots.
+"""Conversion of the controller's objects to plain values and back, for the hash of its state and for snapshots.
 
 Plain values consist of numbers, strings, bytes and tuples only. A named tuple or dataclass becomes
-a tuple that begins with the name of the type. Equal values have equal bytes, even if objects are
-shared. ``from_plain`` creates objects of registered types only, so that a log cannot create others.
+a tuple that begins with the name of the type. Equal values have equal bytes, even if one of them
+contains the same object several times. ``from_plain`` creates only objects of registered types, so
+that a log cannot create objects of other types.
 """
 
 import enum
@@ -15,9 +16,12 @@ import numpy as np
 from pydantic import BaseModel
 
 FORMAT = 2
-"""Version of the format of ``marshal``: the last version without references to shared values."""
+"""Version of the format of ``marshal``.
+
+It is the last version that writes no references to shared values.
+"""
 ARRAY, MODEL, BYTES = ":array", ":model", ":bytes"
-"""Marks in place of a type name, for arrays, pydantic models and bytes."""
+"""Marks that replace the type name in the plain form of arrays, pydantic models and bytes."""
 NAMES_IN_LOGS = {
     "controller.pending_gains.PendingGains": "controller.coming.Coming",
     "drives.contract.DriveTarget": "drives.contract.Want",
@@ -27,20 +31,23 @@ NAMES_IN_LOGS = {
     "drives.odrive.progress.OdriveProgress": "drives.odrive.progress.Progress",
     "drives.cia402.progress.Cia402Progress": "drives.cia402.progress.Progress",
 }
-"""First name of each renamed type. Hashes and snapshots in logs contain the first name."""
+"""First name of each renamed type, by its present name.
+
+Hashes and snapshots in logs contain the first name.
+"""
 _TYPES: dict[str, type] = {}
 _PLAIN = frozenset((type(None), bool, int, float, str, bytes))
 
 
 @functools.cache
 def plain_name(type_: type) -> str:
-    """Return the name of a type in plain values: module and class, before any renaming."""
+    """Return the name of a type in plain values: its module and class, as they were called at first."""
     name = f"{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
     return ":" + NAMES_IN_LOGS.get(name, name)
 
 
 def register_types(*types: type) -> None:
-    """Register types for ``from_plain``."""
+    """Register types whose objects ``from_plain`` may create."""
     _TYPES.update({plain_name(type_): type_ for type_ in types})
 
 
@@ -48,14 +55,15 @@ def to_plain(value: Any) -> Any:
     """Return the plain form of a value.
 
     Raises:
-        TypeError: if a part is neither plain nor a named tuple, dataclass, array, enumeration or
-            model.
+        TypeError: if a part of the value is neither plain nor a named tuple, dataclass, array,
+            enumeration or model.
     """
     kind: type = type(value)
     if kind in _PLAIN:
         return value
     if isinstance(value, tuple):
-        # This runs in ticks that read a drive's settings. For speed, plain items need no call.
+        # This code runs in ticks that read the settings of drives. For speed, it makes no call for
+        # a plain item.
         items = [item if type(item) in _PLAIN else to_plain(item) for item in value]
         return (plain_name(kind), *items) if hasattr(value, "_fields") else tuple(items)
     if isinstance(value, enum.IntEnum):
@@ -71,7 +79,7 @@ def to_plain(value: Any) -> Any:
 
 
 def plain_bytes(value: Any) -> bytes:
-    """Return the bytes of a value's plain form."""
+    """Return the plain form of a value as bytes."""
     return marshal.dumps(to_plain(value), FORMAT)
 
 

@@ -1,16 +1,16 @@
-"""Blocks of numbers with a schema: tables over tendons, joints, digits and other axes in contiguous memory.
+"""Blocks of numbers with a schema: tables over tendons, joints, digits and other axes, in contiguous memory.
 
-A schema is a list of fields. A field is a row or several rows of a table. A table has an axis: a
-row of the table ``tendon`` has one number per tendon. The declaration of a field returns the index
-of its first row, for compiled code and controller::
+A schema is a list of fields. A field is one or several rows of a table. Each table has an axis: for
+example, a row of the table ``tendon`` has one number per tendon. The declaration of a field returns
+the index of its first row. Compiled code and the controller use this index::
 
     TENSION = STATE.real("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
-All tables of a schema share an array of float64, the block. Integer tables are parts of the block
-viewed as int64, and have names that end with ``_int``. A layout contains the lengths of the axes of
-a hand. So a block can be copied as an array, stored as bytes, and compared with another block field
-by field.
+All tables of a schema share one array of float64, the block. Integer tables are parts of the block
+that are viewed as int64. Their names end with ``_int``. A layout has the lengths of the axes for
+one hand, and the places of the tables in a block. So a block can be copied as one array, stored as
+bytes, and compared with another block field by field.
 """
 
 import hashlib
@@ -21,16 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 Block = NDArray[np.float64]
-"""All tables of a schema, in order."""
+"""Array with all tables of a schema, in the order of the schema."""
 Places = NDArray[np.int64]
-"""Lengths of the axes, then the first element of each table, then the end of the last table, for compiled code."""
+"""Places of tables: lengths of the axes, then the first element of each table, then the end of the last table."""
 
 INT = "_int"
 """Ending of the names of integer tables."""
 
 
 class Field(NamedTuple):
-    """A quantity in the block.
+    """Declaration of a quantity in a block.
 
     Attributes:
         name: name of the quantity.
@@ -52,13 +52,13 @@ class Field(NamedTuple):
 
 
 class Schema:
-    """Fields of a block.
+    """Declarations of the tables and fields of a block.
 
     Attributes:
         tables: names of the tables in memory order. A name is an axis, or axes joined by ``*``,
             with ``_int`` at the end for integers.
         optional: name of an axis that may have the length 0, empty if there is none. With the
-            length 0 it has no effect on ``Layout.identity``.
+            length 0, this axis has no effect on ``Layout.identity``.
         fields: all fields, in the order of declaration.
     """
 
@@ -89,7 +89,7 @@ class Schema:
         return field.first
 
     def layout(self, axes: Mapping[str, int]) -> "Layout":
-        """Return the layout of the tables for given lengths of the axes."""
+        """Return the layout of this schema's tables for given lengths of the axes."""
         return Layout(self, axes)
 
     def rows(self, table: str) -> int:
@@ -106,12 +106,12 @@ class Layout:
         places: lengths of the axes, first element of each table, and end of the last table, for
             compiled code.
         size: number of elements of a block.
-        identity: hash of 8 bytes over all fields and lengths.
+        identity: hash of 8 bytes over all fields and all lengths of axes.
         initial: block before the first tick, read-only.
     """
 
     def __init__(self, schema: Schema, axes: Mapping[str, int]) -> None:
-        """Compute the positions.
+        """Compute the positions of all tables and fields in a block.
 
         Args:
             schema: schema with the tables and fields.
@@ -156,17 +156,17 @@ class Layout:
         return first, first + field.rows * width, shape if field.rows == 1 else (field.rows, *shape), whole
 
     def view(self, block: Block, name: str) -> NDArray[Any]:
-        """Return a field as a view into a block, (rows, ...), or without the first dimension for a single row."""
+        """Return a field as a view into a block: (rows, ...), or (...) for a field with a single row."""
         first, end, shape, whole = self._fields[name]
         part = block[first:end]
         return (part.view(np.int64) if whole else part).reshape(shape)
 
     def axis_of(self, name: str) -> str:
-        """Return the axis of a field, ``a*b`` for two axes."""
+        """Return the name of a field's axis, ``a*b`` for two axes."""
         return next(field.table for field in self.schema.fields if field.name == name).removesuffix(INT)
 
     def start(self, table: str) -> int:
-        """Return the first element of a table in a block."""
+        """Return the index of a table's first element in a block."""
         return self._tables[table][0]
 
     def table(self, block: Block, name: str) -> NDArray[Any]:
@@ -175,11 +175,11 @@ class Layout:
         return np.ndarray(shape, kind, block, offset)  # one call, because every tick makes several of these views
 
     def difference(self, one: Block, other: Block) -> tuple[str, int, float, float] | None:
-        """Return the first difference of two blocks in schema order: field, element, and both values.
+        """Return the first difference of two blocks, in schema order: name of the field, element, and both values.
 
         The result is None if the blocks are equal. Values are compared by bits, so NaN equals NaN.
         """
-        # The comparison of integers makes NaN equal to NaN, and 0.0 different from -0.0.
+        # Numbers are compared as integers, so that NaN equals NaN, and 0.0 differs from -0.0.
         apart = np.flatnonzero(one.view(np.int64) != other.view(np.int64))
         if not len(apart):
             return None

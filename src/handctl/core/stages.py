@@ -1,6 +1,6 @@
-"""Compiled stages of a tick. Between the stages ``controller.tick`` makes decisions in Python.
+"""Compiled stages of a tick. Between these stages, ``controller.tick`` makes decisions in Python.
 
-The stages in order, each with its input and result:
+The stages in the order of their execution, each with its input and its result:
 
 receive    frames -> values of drives and sensors, see ``wire``
 observe    values -> measurements
@@ -31,14 +31,14 @@ from handctl.core.law import computed_torque, reference
 from handctl.core.schema import Block, Places
 
 SILENT, ARMING, ACTIVE, RELAX, DONE = 0, 3, 4, 5, 8
-"""Numbers of ``core.types.Mode``."""
+"""Values of ``core.types.Mode``."""
 HOLD = 2
-"""Number of ``safety.action.Action.HOLD``."""
+"""Value of ``safety.action.Action.HOLD``."""
 
 
 @kernel("block", "layout", "constants", "layout")
 def observe_tick(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
-    """Convert received values into measurements."""
+    """Convert the values received in this tick into measurements."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     measure.write_measurements(x, c)
@@ -53,7 +53,7 @@ def observe_tick(block: Block, at: Places, constants: Block, constants_at: Place
 
 @kernel("block", "layout", "constants", "layout")
 def correct_estimate(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
-    """Correct the filter by the measurements, and judge slack, stops and contact of each tendon."""
+    """Correct the tension filter by the measurements, and judge slack, stop and contact of each tendon."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if c.run_int[h.HAND_VARYING]:
@@ -66,7 +66,10 @@ def correct_estimate(block: Block, at: Places, constants: Block, constants_at: P
 
 @kernel("block", "layout", "constants", "layout")
 def conclude_estimate(block: Block, at: Places, constants: Block, constants_at: Places) -> bool:
-    """Derive the estimate from the predicted states. Return True if a node sent more replies than requests."""
+    """Derive the estimate from the predicted states.
+
+    Return True if a node sent more replies than it got requests.
+    """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if c.run_int[h.HAND_VARYING]:
@@ -89,7 +92,7 @@ def conclude_estimate(block: Block, at: Places, constants: Block, constants_at: 
 def find_faults(
     block: Block, at: Places, constants: Block, constants_at: Places, initial: Block
 ) -> tuple[int, Evidence]:
-    """Find and debounce faults, see ``detectors.judge``."""
+    """Find and debounce the faults of a tick, see ``detectors.judge``."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     return judge.find_and_debounce_faults(x, c, state_tables(initial, at))
@@ -97,7 +100,10 @@ def find_faults(
 
 @kernel("block", "layout", "constants", "layout", "count")
 def evaluate_goals(block: Block, at: Places, constants: Block, constants_at: Places, action: int) -> int:
-    """Evaluate the goals. Return a number with a bit for each digit whose least-squares problem must be solved."""
+    """Evaluate the goals of all digits.
+
+    The result has a bit for each digit whose bounded least-squares problem must still be solved.
+    """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     computed_torque.update_hold_limits(x, c, action == HOLD and x.run_int[s.MODE] == ACTIVE)
@@ -128,7 +134,10 @@ def compute_motor_torques(
     open_loop: int,
     ticks: int,
 ) -> None:
-    """Compute the motor torques, which are 0 unless the hand is active or relaxing. See ``computed_torque``."""
+    """Compute the motor torques, see ``computed_torque``.
+
+    They are 0 unless the hand is active or relaxing.
+    """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
@@ -139,7 +148,7 @@ def compute_motor_torques(
 
 @kernel("block", "layout", "constants", "layout")
 def store_commands(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
-    """Store commands and requests of the tick for the next one, and complete the numbers for the log."""
+    """Store commands and requests of this tick for the next tick, and complete the numbers for the log."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     mode = x.run_int[s.MODE]

@@ -1,8 +1,8 @@
-"""Constants of a hand along its tendons: for each tendon a motor mass and a load mass, joined by an elastic tendon.
+"""Constants of a hand along its tendons. For each tendon, an elastic tendon joins a motor mass and a load mass.
 
-Along a tendon the motor is a mass J_m / r_a^2 at the travel x = r_a theta_m, with the spool radius
-r_a. The digit is a mass at the excursion s = R q. The tension between both is f = k (x - s - o) + c
-(x' - s'), with the stretch offset o. Source: one-tendon finger in reduced coordinates (Tsai,
+Along a tendon, the motor is a mass J_m / r_a^2 at the travel x = r_a theta_m, with the spool radius
+r_a. The digit is a mass at the excursion s = R q. The tension between both masses is f = k (x - s -
+o) + c (x' - s'), with the stretch offset o. Source: one-tendon finger in reduced coordinates (Tsai,
 structure matrix), virtual work.
 """
 
@@ -29,9 +29,9 @@ class TendonSpace:
         coulomb: Coulomb friction of the motor tau_c / r_a [N].
         stiffness: stiffness of the tendon [N/m].
         damping: damping of the tendon [N s/m].
-        load_mass: effective mass of the digit along the tendon at half closure [kg].
-        load_stiffness: effective return spring along the tendon [N/m].
-        load_damping: effective joint damping along the tendon [N s/m].
+        load_mass: effective mass of the half-closed digit along the tendon [kg].
+        load_stiffness: effective stiffness of the return springs along the tendon [N/m].
+        load_damping: effective damping of the joints along the tendon [N s/m].
         spool: radius of the spool [m].
         encoder_step: resolution of the motor position along the tendon [m].
         tension_noise: standard deviation of a load-cell sample [N].
@@ -53,7 +53,10 @@ class TendonSpace:
     has_cell: Vector
 
     def numbers_of(self, i: int) -> tuple[float, ...]:
-        """Return all constants of tendon i. Tendons with equal constants have equal filters and loops."""
+        """Return all constants of tendon i.
+
+        Tendons with equal constants have equal filters and control loops.
+        """
         return tuple(float(getattr(self, each.name)[i]) for each in fields(self) if each.name != "names")
 
 
@@ -68,7 +71,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     tendons = hand.tendon
     spool = np.array([motors[tendon.motor].spool_radius_m for tendon in tendons])
     inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
-    # The mass matrix of the whole hand includes the fingers that a wrist moves.
+    # The mass matrix of the whole hand is used, because it includes the fingers that a wrist moves.
     mass = HandTree.of(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
     load = np.concatenate([_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1)
     return TendonSpace(
@@ -92,8 +95,8 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 def _position_step(motor: Motor) -> float:
     """Return the resolution of a motor's reported position [rad].
 
-    It is the resolution of the protocol, but at least 1/65536 of the range, because smaller steps
-    are below the noise.
+    It is the resolution of the protocol, but at least 1/65536 of the position range, because
+    smaller steps are below the noise.
     """
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
@@ -103,8 +106,8 @@ def _load_along_tendons(digit: DigitModel, mass: Vector) -> Vector:
 
     Args:
         digit: model of the digit.
-        mass: (n, n) mass matrix of the digit's joints at half closure, with all carried links [kg
-            m2].
+        mass: (n, n) mass matrix of the joints of the half-closed digit, with all links that it
+            carries [kg m2].
     """
     coupling = digit.coupling
     joint_space = (

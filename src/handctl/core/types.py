@@ -1,4 +1,4 @@
-"""Inputs and outputs of a tick: ``TickIn`` contains everything that decisions use, ``TickOut`` all decisions."""
+"""Inputs and outputs of a tick: ``TickIn`` has all information for the decisions, ``TickOut`` all decisions."""
 
 import enum
 from collections.abc import Iterator, Sequence
@@ -14,30 +14,30 @@ Vector = NDArray[np.float64]
 
 
 class Mode(enum.IntEnum):
-    """State of the whole hand."""
+    """Mode of the whole hand during a run."""
 
     SILENT = 0
-    """Nothing is sent."""
+    """The host sends no frames."""
     INVENTORY = 1
-    """Drives are queried, configured and read back, without torque."""
+    """Drives are queried and configured, and their settings are read back, without torque."""
     READY = 2
-    """All nodes have replied. The hand waits for arming."""
+    """All nodes have replied. The hand waits for the request to arm."""
     ARMING = 3
     """Drives are being enabled."""
     ACTIVE = 4
     """The program moves the hand."""
     RELAX = 5
-    """Tensions fall to the floor. DISARM follows."""
+    """All tensions fall to the floor. The next mode is DISARM."""
     DISARM = 6
-    """Drives are disabled and queried until each confirms."""
+    """Drives are disabled, and are queried until each confirms that it is disabled."""
     CUT = 7
-    """Torque is removed at once, without a ramp."""
+    """The torque of all motors is removed at once, without a ramp."""
     DONE = 8
-    """All drives are disarmed, or cannot confirm it. The loop may end."""
+    """Each drive is disarmed, or cannot confirm that it is. The control loop may end."""
 
 
 BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
-"""Modes before any drive was enabled."""
+"""Modes in which no drive was enabled yet."""
 ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
 """Modes in which torque may act."""
 SHUTTING_DOWN = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
@@ -45,12 +45,12 @@ SHUTTING_DOWN = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
 
 
 class IoEvent(NamedTuple):
-    """An event of a bus, the host or the recorder.
+    """An event of a bus, of the host or of the recorder, as an input of a tick.
 
     Attributes:
         kind: type of the event, for example enobufs, bus_off, dropped, recorder, suspended.
-        where: bus or part with the event.
-        number: number that belongs to the event, for example of dropped records.
+        where: bus or part of the host in which the event occurred.
+        number: count that belongs to the event, for example the number of dropped records.
     """
 
     kind: str
@@ -62,12 +62,13 @@ class TickIn(NamedTuple):
     """Inputs of a tick.
 
     Attributes:
-        k: tick number. A jump means missed ticks.
+        k: tick number. If it jumps, ticks were missed.
         t_ns: scheduled time of the tick on the run's clock [ns], k times the period, from 0.
-        late_ns: delay of the tick's real start [ns].
-        frames: frames received since the last tick, in order.
+        late_ns: delay of the real start of the tick behind its scheduled time [ns].
+        frames: frames received since the last tick, in the order of reception.
         io_events: events of buses, host and recorder since the last tick.
-        requests: requests of operators and programs, as JSON texts, in order.
+        requests: requests of operators and programs since the last tick, as JSON texts, in the
+            order of arrival.
     """
 
     k: int
@@ -79,7 +80,10 @@ class TickIn(NamedTuple):
 
 
 GAIN_EVENT = "gain"
-"""Name of the event for a changed gain. Its ``where`` is the key, its ``text`` the new value."""
+"""Name of the event for a changed gain.
+
+The event's ``where`` is the key, and its ``text`` is the new value.
+"""
 
 
 class Event(NamedTuple):
@@ -88,8 +92,8 @@ class Event(NamedTuple):
     Attributes:
         level: "info", "warn" or "error".
         name: short identifier, for example "mode", "phase", "contact", "fault".
-        where: digit, motor, tendon or bus with the event.
-        text: description in one line.
+        where: digit, motor, tendon or bus that the event concerns.
+        text: description of the event in one line.
     """
 
     level: str
@@ -99,7 +103,9 @@ class Event(NamedTuple):
 
 
 class Telemetry(NamedTuple):
-    """Numbers of a tick, float64. An unknown number is NaN. No value of an older tick is repeated.
+    """Numbers of a tick for log and viewers, float64.
+
+    An unknown number is NaN. No value of an older tick is repeated.
 
     Shapes: J joints, N tendons, M motors, D digits, in the order of the hand file.
     """
@@ -123,88 +129,91 @@ class Telemetry(NamedTuple):
     tension: Vector
     """(N,) estimated tension at the load cell [N]."""
     tension_sigma: Vector
-    """(N,) standard deviation of the tension [N]."""
+    """(N,) standard deviation of the estimated tension [N]."""
     tension_raw: Vector
-    """(N,) load-cell reading of the tick, tared [N]."""
+    """(N,) load-cell reading of the tick, minus the tare [N]."""
     tension_goal: Vector
     """(N,) commanded tension at the load cell [N]."""
     stretch_offset: Vector
     """(N,) estimated stretch offset [m]."""
     innovation: Vector
-    """(N,) load-cell reading minus its prediction [N]."""
+    """(N,) innovation: load-cell reading of the tick minus its prediction [N]."""
     nis: Vector
     """(N,) normalised innovation squared [1]."""
     external_tension: Vector
     """(N,) tension that the model does not explain, for example by contact [N]."""
     motor_position: Vector
-    """(M,) measured position at the spool [rad]."""
+    """(M,) measured motor position at the spool [rad]."""
     motor_velocity: Vector
-    """(M,) measured velocity at the spool [rad/s]."""
+    """(M,) measured motor velocity at the spool [rad/s]."""
     motor_torque: Vector
-    """(M,) measured torque [N m]."""
+    """(M,) motor torque that the drive reports [N m]."""
     motor_torque_goal: Vector
-    """(M,) commanded torque [N m]."""
+    """(M,) commanded motor torque [N m]."""
     motor_temperature: Vector
-    """(M,) hottest sensor of the drive [degC]."""
+    """(M,) temperature of the drive's hottest sensor [degC]."""
     motor_age: Vector
-    """(M,) age of the latest feedback [s]."""
+    """(M,) age of the drive's latest feedback [s]."""
     drive_phase: Vector
-    """(M,) drives.contract.Phase as a number."""
+    """(M,) phase of the drive, ``drives.contract.Phase`` as a number."""
     tip_force: Vector
     """(D,) tip-equivalent contact force, normal to the last link [N]."""
     contact: Vector
-    """(D,) 1 in contact, 0 not."""
+    """(D,) 1 if the digit is in contact, else 0."""
     q_sigma: Vector
     """(J,) standard deviation of the estimated joint angle [rad]."""
     tip_force_sigma: Vector
     """(D,) standard deviation of the tip-equivalent force [N]."""
 
     def packed(self) -> bytes:
-        """Return all fields in order as little-endian float64."""
+        """Return all telemetry fields in order, as little-endian float64."""
         return b"".join([array.tobytes() for array in self])
 
 
 class PackedTelemetry:
-    """Telemetry of a tick as one array, as in the log. An attribute access returns a slice of it.
+    """Telemetry of a tick as one array, as in the log. Each field is an attribute, which returns a slice of the array.
 
     Attributes:
-        numbers: all fields in order.
-        places: slice of each field.
+        numbers: array of all fields in order.
+        places: slice of each field in the array.
     """
 
     __slots__ = ("numbers", "places")
 
     def __init__(self, numbers: Vector, places: dict[str, slice]) -> None:
-        """Keep the numbers, without a copy.
+        """Keep the array, without a copy.
 
         Args:
-            numbers: all fields in order.
-            places: slice of each field.
+            numbers: array of all fields in order.
+            places: slice of each field in the array.
         """
         self.numbers = numbers
         self.places = places
 
     def __getattr__(self, name: str) -> Vector:
-        """Return a field by name."""
+        """Return a telemetry field by its name."""
         try:
             return self.numbers[self.places[name]]
         except KeyError:
             raise AttributeError(name) from None
 
     def __iter__(self) -> Iterator[Vector]:
-        """Iterate over the fields in order."""
+        """Iterate over the telemetry fields in order."""
         return iter([self.numbers[place] for place in self.places.values()])
 
     def packed(self) -> bytes:
-        """Return all fields in order as little-endian float64."""
+        """Return all telemetry fields in order, as little-endian float64."""
         return self.numbers.tobytes()
 
 
 TELEMETRY_FIELDS = Telemetry._fields
-"""Field names in the order of ``Telemetry.packed``."""
+"""Names of the telemetry fields, in the order of ``Telemetry.packed``."""
 
 TELEMETRY_FIRST = 25
-"""Number of fields in logs of version 0.1 and before. Later versions added fields at the end."""
+"""Number of telemetry fields in logs of version 0.1 and before.
+
+Later versions added fields at the end.
+"""
 
 TELEMETRY_AXES = {
     **dict.fromkeys(TELEMETRY_FIELDS[:6], "joint"),
@@ -214,7 +223,7 @@ TELEMETRY_AXES = {
     "q_sigma": "joint",
     "tip_force_sigma": "digit",
 }
-"""Axis of each field: joint, tendon, motor or digit."""
+"""Axis of each telemetry field: joint, tendon, motor or digit."""
 
 
 class TickOut(NamedTuple):
@@ -223,9 +232,9 @@ class TickOut(NamedTuple):
     Attributes:
         frames: frames to send, in order.
         mode: mode of the hand after the tick.
-        phase: phase of the grasp, or of another program, for example "home", "close", "hold".
+        phase: phase of the program, for example "home", "close" or "hold" in a grasp.
         action: most severe reaction that safety demands.
-        telemetry: numbers of the tick.
+        telemetry: numbers of the tick for log and viewers.
         events: events of the tick.
         state_hash: hash of the controller's whole state after the tick, 8 bytes.
     """

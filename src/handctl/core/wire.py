@@ -1,10 +1,11 @@
-"""Conversion of received cyclic frames into the state block, and of commands into frames.
+"""Conversion of received cyclic frames into values of the state block, and of commands into frames.
 
 ``receive_frames`` decodes the feedback of steady drives and all frames of the sensor node, by
 tables of signals. A drive is steady while it is enabled and its state machine (``drives.contract``)
-has nothing to do. The function stops at each frame for a state machine. Its caller handles this
-frame and calls it again for the frames behind it. ``encode_commands`` encodes the commands of
-steady drives, and stops at each other drive. ``Wire`` builds the tables of a hand.
+has nothing to do. ``receive_frames`` stops at each frame that a state machine must handle. Its
+caller handles this frame, and then calls ``receive_frames`` again for the frames after it.
+``encode_commands`` encodes the commands of steady drives, and stops at each drive that is not
+steady. ``Wire`` builds the tables for a hand.
 """
 
 import math
@@ -56,25 +57,28 @@ Whole = NDArray[np.int64]
 Real = NDArray[np.float64]
 
 OWNER, KIND, FIRST, END, LENGTH, GROUP, NEAREST = range(7)
-"""Columns of an entry: index of the drive or NODE, kind of frame, first signal, signal after the last, payload length
-[bytes], group, and 1 if only the frame nearest to the expected position is used."""
+"""Columns of an entry, which describes the frames with one identifier.
+
+They are: index of the drive or NODE, kind of frame, first signal, signal after the last, payload
+length [bytes], group, and 1 if only the frame nearest to the expected position is used.
+"""
 NODE = -1
-"""Owner of the sensor node's frames."""
+"""Value of the column ``OWNER`` for frames of the sensor node."""
 FOR_STATE_MACHINE, FEEDBACK, VALUES, SENSORS, HOST = range(5)
-"""Kinds of frames: for a state machine, reply to a command, further values, sensor node, sent by this host only."""
+"""Kinds of frames: for a state machine, reply to a command, further values, of the sensor node, only of this host."""
 ENABLED = 3
-"""Number of ``drives.contract.Phase.ENABLED``."""
+"""Value of ``drives.contract.Phase.ENABLED``."""
 UNKNOWN = -1
-"""Index for a missing entry."""
+"""Index that stands for a missing entry."""
 POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(int, tuple(Quantity)[:8])
-"""Quantities as numbers, for compiled code."""
+"""Values of ``drives.signals.Quantity``, for compiled code."""
 ID_MASK = 0xFFFFFFFF
-"""Bits of an identifier with its flags."""
+"""Mask of a CAN identifier with its flags."""
 BYTE_MASK = 0xFF
 NUMBER_MASK = 0x1FFFFFFF
-"""Bits of an identifier without its flags."""
+"""Mask of a CAN identifier without its flags."""
 STANDARD_IDS = 0x800
-"""Number of 11-bit identifiers."""
+"""Number of possible 11-bit identifiers."""
 
 
 @inner
@@ -141,23 +145,23 @@ def store_drive(
     due_ns: int,
     misread: int,
 ) -> None:
-    """Store the values of a drive whose state machine has run.
+    """Store the values of a drive after its state machine has run.
 
     Args:
-        block: the state.
-        at: ``Layout.places``.
+        block: state block.
+        at: ``Layout.places`` of the state block.
         n: index of the drive.
-        position: motor position [rad at the spool].
-        velocity: motor velocity [rad/s].
+        position: motor position, at the spool [rad].
+        velocity: motor velocity, at the spool [rad/s].
         torque: torque that the drive reports [N m].
         temperature: hottest sensor of the drive [degC].
-        feedback_t_ns: reception of the latest feedback [ns].
-        feedback_count: feedback frames so far.
+        feedback_t_ns: reception time of the latest feedback [ns].
+        feedback_count: number of feedback frames since the start.
         phase: ``drives.contract.Phase`` of the drive.
         fault_code: error code of the drive.
         fault_cause: ``drives.causes.Cause`` of the error code, -1 without a fault.
-        steady_status: status at which the state machine has nothing to do.
-        due_ns: time at which the state machine must run next [ns].
+        steady_status: status of the drive with which its state machine has nothing to do.
+        due_ns: time at which the drive's state machine must run next [ns].
         misread: 1 if a frame of the drive in this tick had a wrong shape.
     """
     x = state_tables(block, at)
@@ -191,7 +195,7 @@ def receive_frames(
     first: int,
     fresh_ns: int,
 ) -> int:
-    """Decode frames from index ``first`` on.
+    """Decode received frames from index ``first`` on, until a frame that a state machine must handle.
 
     Args:
         block: state block.
@@ -204,12 +208,12 @@ def receive_frames(
         wholes: see ``Wire``.
         reals: see ``Wire``.
         first: index of the first frame.
-        fresh_ns: earliest arrival of an answer to the latest SYNC [ns], a negative time if answers
-            have a counter.
+        fresh_ns: earliest arrival of an answer to the latest SYNC [ns]. It is negative if answers
+            contain the counter of the SYNC.
 
     Returns:
-        Index of the first frame for a state machine or that only this host may send, n without such
-        a frame.
+        Index of the first frame that a state machine must handle or that only this host may send, n
+        if there is no such frame.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -219,8 +223,8 @@ def receive_frames(
     wholes = borrow(wholes, 0, wholes.shape)
     reals = borrow(reals, 0, reals.shape)
     for r in range(first, len(rows)):
-        # HEAD: identifier in bits 0 to 31, then flags, bus (from BUS_BIT) and payload length (from
-        # LENGTH_BIT).
+        # The word HEAD contains the identifier with its flags in bits 0 to 31, then the flags of
+        # the frame, the bus (from BUS_BIT) and the payload length (from LENGTH_BIT).
         head = np.int64(rows[r, HEAD])
         can_id = head & ID_MASK & ~ERROR
         bus = head >> BUS_BIT & BYTE_MASK
@@ -252,8 +256,9 @@ def receive_frames(
 
 @inner
 def _count_unknown_frame(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> None:
-    """Count a frame with an unknown identifier. A remote or 29-bit frame with the identifier of a node is malformed.
+    """Count a frame with an unknown identifier.
 
+    A remote or 29-bit frame with the identifier of a node counts as a malformed frame of this node.
     A 29-bit identifier of 0x800 or more belongs to another protocol, even if its lower 11 bits are
     those of a node.
     """
@@ -267,7 +272,7 @@ def _count_unknown_frame(x: Tables, keys: Whole, entries: Whole, bus: Any, can_i
 
 @inner
 def _count_stale_frame(x: Tables, group: int) -> None:
-    """Count a frame that answers an older SYNC."""
+    """Count a sensor frame that answers an older SYNC."""
     x.run_int[s.STALE_FRAMES] += 1
     x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_FRAMES_NOW, group] else 1)
 
@@ -276,13 +281,13 @@ def _count_stale_frame(x: Tables, group: int) -> None:
 def _decode_sensor_frame(
     x: Tables, t_ns: Any, payload: Any, fits: bool, entries: Whole, entry: int, wholes: Whole, reals: Real
 ) -> None:
-    """Decode a frame of load cells or joint encoders. A frame whose counter differs from that of the SYNC is stale.
+    """Decode a frame of load cells or joint encoders. If its counter is not that of the SYNC, the frame is stale.
 
     Args:
         x: state tables.
         t_ns: reception time [ns].
-        payload: first eight bytes.
-        fits: True if the length is right.
+        payload: first eight bytes of the frame's payload.
+        fits: True if the payload has the expected length.
         entries: see ``Wire``.
         entry: row of ``entries``.
         wholes: see ``Wire``.
@@ -315,10 +320,10 @@ def _decode_sensor_frame(
 
 @inner
 def _is_nearer(x: Tables, c: ConstantTables, n: Any, position: float) -> bool:
-    """Return True if a position is nearer to the filter's prediction than the position received before in this tick.
+    """Return True if a position is nearer to the predicted position than the position received before in this tick.
 
-    The prediction is for the time of the request. Before the filter has started, the later position
-    is used.
+    The tension filter predicts the position at the time of the request. Before the filter has
+    started, the later position is used.
     """
     travel = x.tendon[s.TRAVEL, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
@@ -393,14 +398,17 @@ def _decode_drive_frame(
 
 @inner
 def _store_value(x: Tables, row: int, n: int, value: float) -> None:
-    """Write a value into the tendon table, unless it is NaN. NaN means that the frame has no such signal."""
+    """Write a value into the tendon table, unless it is NaN.
+
+    NaN means that the frame has no such signal.
+    """
     if not math.isnan(value):
         x.tendon[row, n] = value
 
 
 @inner
 def _can_be_encoded(x: Tables, n: int, reals: Real, first: int) -> bool:
-    """Return True if each number of a position command is within the range of its signal."""
+    """Return True if each number of a drive's position command is within the range of its signal."""
     for i in range(COMMAND_ROWS):
         if not reals[first + i, 2] <= x.servo[s.SERVO_POSITION + i, n] <= reals[first + i, 3]:
             return False
@@ -458,8 +466,8 @@ def encode_commands(
 
     Returns:
         Index of the first drive that is not steady, N if all are steady, and the number of records.
-        The function also stops at a drive whose torque is beyond its limit. The drive's state
-        machine reports it.
+        The function also stops at a drive whose commanded torque is beyond its limit. The state
+        machine of this drive reports the excess.
     """
     x = state_tables(block, at)
     now_ns = x.run_int[s.T_NS]
@@ -507,10 +515,11 @@ class Wire:
         sent_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
             column.
         templates: (f, WORDS) commands without torque.
-        servos: (N,) first row of each drive in ``servo_wholes``, -1 for torques only.
+        servos: (N,) first row of each drive in ``servo_wholes``, -1 for a drive that receives only
+            torques.
         servo_wholes: (5 p, COLUMNS) integers of the signals of position commands.
         servo_reals: (5 p, 4) real numbers of these signals: scale, offset, smallest and largest
-            value, in the units of the motor's true torque.
+            value, for the true torque of the motor.
     """
 
     def __init__(
@@ -520,7 +529,7 @@ class Wire:
         holds_position: Sequence[bool] = (),
         torque_gain: Real | None = None,
     ) -> None:
-        """Build the tables.
+        """Build the tables of all frames.
 
         Args:
             drives: drives of the hand.
@@ -562,7 +571,7 @@ class Wire:
         self._entries_without: dict[tuple[int, ...], Whole] = {}
 
     def entries_without(self, groups: tuple[int, ...]) -> Whole:
-        """Return a copy of the entries in which the frames of some groups are for the sensor node's state machine."""
+        """Return a copy of the entries in which state machines of the sensors must handle the frames of some groups."""
         entries = self._entries_without.get(groups)
         if entries is None:
             entries = self.entries.copy()
@@ -571,7 +580,7 @@ class Wire:
         return entries
 
     def _added(self, message: Message) -> tuple[int, int]:
-        """Add the signals of a message. Return the range of their rows."""
+        """Add the signals of a message to the tables. Return the range of their rows."""
         first = sum(len(table.wholes) for table in self._signals)
         self._signals.append(Table(message))
         return first, first + len(self._signals[-1].wholes)
@@ -600,7 +609,7 @@ class Wire:
     def _build_position_commands(
         self, drives: Sequence[Drive], holds_position: Sequence[bool], torque_gain: Real | None
     ) -> None:
-        """Build the tables of the position commands."""
+        """Build the tables of the position commands of all drives that close the position loop."""
         wholes = [np.empty((0, COLUMNS), np.int64)]
         reals = [np.empty((0, 4))]
         servos = np.full(len(drives), UNKNOWN, np.int64)
@@ -618,7 +627,7 @@ class Wire:
 
 
 def _ranges_of_signals(message: Message, torque_gain: float) -> Real:
-    """Return scale, offset, smallest and largest value of a position command's signals (5, 4)."""
+    """Return scale, offset, smallest and largest value of each signal of a position command, (5, 4)."""
     rows = []
     for signal in message.signals:
         gain = 1.0 if signal.quantity in (Quantity.POSITION, Quantity.VELOCITY) else torque_gain

@@ -1,1 +1,1 @@
-"""Motor drives and the sensor node: frames, codecs, and the state machine of each protocol."""
+"""Motor drives and load cells on CAN: frames, codecs, and a state machine for each protocol."""

@@ -1,10 +1,10 @@
-"""Export of the cyclic frames of a bus as a DBC file, from the controller's own signal tables.
+"""Export of a DBC file with the cyclic frames of a bus, from the signal tables that the controller itself uses.
 
-Values are those that the controller uses: at the spool, with the hand's sign. A DBC has one message
-per identifier. A command is left out if its answer has the same identifier (CubeMars), or if one of
-its values is coded in the identifier (RobStride). Frames without values are left out: remote frames
-and an empty SYNC. The tables, and the DBC, have no settings, heartbeats, register replies, or SDO
-replies.
+The values in the DBC are those that the controller uses: at the spool, with the hand's sign. A DBC
+can have only one message per identifier. A command is left out if its answer has the same
+identifier (CubeMars), or if the identifier contains one of its values (RobStride). Frames without
+values are left out too: remote frames, and a SYNC without payload. Settings, heartbeats, register
+replies and SDO replies are not in the signal tables, and therefore not in the DBC.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,7 +15,7 @@ from handctl.drives.frame import EXTENDED, REMOTE
 from handctl.drives.sensors.contract import Sensors
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
-# Names of this host and of the sensor node in a DBC.
+# Names of the host and of the sensor node in a DBC.
 HOST = "host"
 SENSORS = "sensor_node"
 EXTENDED_BIT = 1 << 31
@@ -23,7 +23,7 @@ EXTENDED_BIT = 1 << 31
 
 
 class SentMessage(NamedTuple):
-    """Message with the names of its sender and its receiver."""
+    """Cyclic frame with the names of sender and receiver."""
 
     message: Message
     sender: str
@@ -33,14 +33,14 @@ class SentMessage(NamedTuple):
 def dbc_of_bus(
     bus: int, drives: Iterable[Drive], sensors: Sensors, tendons: Sequence[str], joints: Sequence[str]
 ) -> str:
-    """Return the DBC text for one bus of a hand.
+    """Return the content of a DBC file for one bus of a hand.
 
     Args:
         bus: index of the bus.
         drives: all drives of the hand.
-        sensors: the sensor node.
-        tendons: names of all tendons.
-        joints: names of all joints.
+        sensors: sensors of the hand.
+        tendons: names of all tendons of the hand, in order.
+        joints: names of all joints of the hand, in order.
     """
     sent = list[SentMessage]()
     if sensors.bus == bus and sensors.ids:
@@ -57,7 +57,10 @@ def dbc_of_bus(
 
 
 def dbc_text(sent: Iterable[SentMessage]) -> str:
-    """Return the DBC text for messages. If several messages have one identifier, the first is used."""
+    """Return the content of a DBC file.
+
+    If several messages have the same identifier, only the first is used.
+    """
     by_identifier: dict[int, SentMessage] = {}
     for item in sent:
         in_payload = all(signal.start >= 0 for signal in item.message.signals)
@@ -72,7 +75,7 @@ def dbc_text(sent: Iterable[SentMessage]) -> str:
         lines.append(f"BO_ {frame_id} {message.name}: {message.length} {sender}")
         lines += [*(_signal_line(signal, receiver) for signal in message.signals), ""]
         real = [signal.name for signal in message.signals if signal.coding == Coding.FLOAT]
-        # SIG_VALTYPE_ 1 is an IEEE 754 float32.
+        # SIG_VALTYPE_ 1 marks a signal as an IEEE 754 float32.
         floats += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in real]
         if message.flags:
             kinds.append(f'BA_ "VFrameFormat" BO_ {frame_id} {FD_EXTENDED if frame_id & EXTENDED_BIT else FD};')
@@ -88,14 +91,14 @@ _FORMATS = (
     + ',"StandardCAN_FD","ExtendedCAN_FD";',
     'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
 )
-"""Declaration of the attribute VFrameFormat, which marks FD frames.
+"""Lines of a DBC to declare the attribute VFrameFormat, the mark of CAN FD frames.
 
-Source: the attribute as Vector's tools write it and cantools reads it.
+Source: the form in which Vector's tools write this attribute and cantools reads it.
 """
 
 
 def _signal_line(signal: Signal, receiver: str) -> str:
-    """Return the DBC line of a signal."""
+    """Return the line of a DBC for a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
     order = 0 if signal.big_endian else 1
     sign = "+" if signal.coding == Coding.UNSIGNED else "-"
@@ -104,12 +107,12 @@ def _signal_line(signal: Signal, receiver: str) -> str:
 
 
 def _with_drive_name(message: Message, drive: str) -> Message:
-    """Return the message with the name of its drive put before its own name."""
+    """Return the message with a new name: the name of the drive, then the name of the message."""
     return message._replace(name=f"{drive}_{message.name}")
 
 
 def _with_channel_names(message: Message, tendons: Sequence[str], joints: Sequence[str]) -> Message:
-    """Return the message of the sensor node with tendon or joint names on its channels."""
+    """Return a message of the sensor node, with the names of tendons or joints on the signals."""
     names = {Quantity.TENSION: tendons, Quantity.ANGLE: joints}
     signals = [
         signal._replace(name=names[signal.quantity][signal.channel]) if signal.quantity in names else signal

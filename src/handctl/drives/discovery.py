@@ -1,9 +1,9 @@
-"""Discovery of the nodes on a bus without motion. No drive obeys the requests as commands.
+"""Discovery of the nodes on a bus. No motor moves, because no drive obeys the requests as commands.
 
-Each protocol has one ``Discovery``. Requests come in rounds: listen (0), ask all nodes at once (1),
-ask every node number (2), ask discovered nodes for details (3). After each round the nodes are
-computed from all received frames. The functions here keep no state. ``split_probes`` leaves out
-requests that are a command to a drive of another protocol.
+Each protocol has one ``Discovery``. A scan has four rounds: listen (0), send requests to all nodes
+at once (1), send requests to every node number (2), request details from discovered nodes (3).
+After each round the nodes are computed from all received frames. The functions here keep no state.
+``split_probes`` leaves out each request that a drive of another protocol would obey as a command.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,29 +13,30 @@ from typing import NamedTuple
 from handctl.drives.frame import REMOTE, Frame
 
 ROUNDS = range(4)
-# Time of several heartbeats in which a scan only listens, and time to wait for the answers of a
-# round [s].
+# Time in which a scan only listens, long enough for several heartbeats, and time to wait for the
+# answers in a round [s].
 LISTEN_S = 0.7
 ANSWER_S = 0.25
 
 
 @dataclass(frozen=True)
 class DiscoveredNode:
-    """Node found on a bus, with the data that it reported.
+    """Node discovered on a bus, with the data reported by the node.
 
     Attributes:
-        protocol: name in the hand file.
+        protocol: name of the protocol in the hand file.
         node_id: node number.
-        firmware: version, empty if not reported.
+        firmware: firmware version, empty if not reported.
         serial: serial number, empty if not reported.
-        state: state in words, empty if not reported.
-        error: error in words, empty if not reported.
-        settings: keys of a ``[[motor]]`` section with values from the drive.
-        options: keys of ``[motor.options]`` with values from the drive.
+        state: state of the node in words, empty if not reported.
+        error: error of the node in words, empty if not reported.
+        settings: values for the keys of a ``[[motor]]`` section, by key. Most are read from the
+            drive.
+        options: values for the keys of ``[motor.options]``, by key. Most are read from the drive.
         notes: warnings for the operator.
-        origins: source of each value in settings or options that the drive has not reported, by
-            key.
-        twins: True if more than one drive answers with this number.
+        origins: source of each value in ``settings`` and ``options`` that was not read from the
+            drive, by key.
+        twins: True if two drives answer with this node number.
     """
 
     protocol: str
@@ -56,14 +57,16 @@ TWO_DRIVES_WARNING = "two drives answer with this number: set another number wit
 
 
 def have_two_drives_answered(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
-    """Return True if single requests got answers from two drives.
+    """Return True if two drives with the same number have answered the requests.
 
-    A bus may deliver one frame twice by mistake, but not the answers to two different requests.
+    A bus may deliver one frame twice by mistake. It does not deliver the answers to two different
+    requests twice.
 
     Args:
-        answers: received answers by request (for example by register number). Each request was sent
-            once.
-        serial: the request for the serial number. Two drives never give equal answers to it.
+        answers: received answers to each request, by request (for example by register number). Each
+            request was sent once.
+        serial: key in ``answers`` of the request for the serial number. Two drives never give equal
+            answers to this request.
     """
     serials = set(answers.get(serial, ()))
     return len(serials) > 1 or sum(len(payloads) > 1 for payloads in answers.values()) > 1
@@ -82,14 +85,16 @@ class Discovery(NamedTuple):
     """Discovery functions of one protocol.
 
     Attributes:
-        probe_frames: request frames of a round, from the frames received before, for bus 0.
-        nodes: the nodes that sent the received frames.
-        command_ids: identifiers that a node obeys as commands, from any sender.
-        other_host_frames: those received frames that only another host can have sent.
-        ping: request to one node that causes no motion.
-        is_ping_reply: True if a frame answers ``ping``.
-        unasked: function that returns the node for a scan that only listened. No conclusion is
-            drawn from a missing answer.
+        probe_frames: function returning the request frames of a round, from the frames received in
+            earlier rounds.
+        nodes: function returning the nodes that have sent the received frames.
+        command_ids: function returning the identifiers of frames that a node obeys as commands.
+        other_host_frames: function returning those received frames that only another host can have
+            sent.
+        ping: function returning a request to one node. The request causes no motion.
+        is_ping_reply: function returning True if a frame is the answer of a node to ``ping``.
+        unasked: function that corrects a node if the scan has only listened. A missing answer then
+            means nothing.
     """
 
     probe_frames: Callable[[int, ReceivedFrames], tuple[Frame, ...]]
@@ -104,10 +109,11 @@ class Discovery(NamedTuple):
 def split_probes(
     probe_frames: Iterable[Frame], command_ids: Iterable[frozenset[int]]
 ) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
-    """Split requests into safe ones and those that a drive of another protocol would obey.
+    """Split requests into those that are safe, and those that a drive of another protocol would obey as commands.
 
     Args:
-        probe_frames: data and remote frames. A remote frame has no payload, and no drive obeys it.
+        probe_frames: requests, as data frames or remote frames. A remote frame has no payload, and
+            no drive obeys it.
         command_ids: command identifiers of every discovered node of another protocol.
     """
     obeyed = frozenset().union(*command_ids)

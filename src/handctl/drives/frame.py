@@ -1,30 +1,34 @@
-"""CAN frame, for all parts of handctl."""
+"""CAN frame, as all parts of handctl use it."""
 
 from typing import NamedTuple
 
 EXTENDED = 1 << 31
-"""Mark of a 29-bit identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
+"""Flag bit of a 29-bit identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
 REMOTE = 1 << 30
-"""Remote transmission request. Source: Linux ``can.h``, CAN_RTR_FLAG."""
+"""Flag bit of a remote transmission request. Source: Linux ``can.h``, CAN_RTR_FLAG."""
 ERROR = 1 << 29
-"""Error message frame. Source: Linux ``can.h``, CAN_ERR_FLAG."""
+"""Flag bit of an error frame. Source: Linux ``can.h``, CAN_ERR_FLAG."""
 
-# CAN FD flags: bit rate switch, error state indicator, FD format. Source: Linux ``can.h``, CANFD_*.
+# Flags of CAN FD frames: bit rate switch, error state indicator, CAN FD format. Source: Linux
+# ``can.h``, CANFD_*.
 BRS = 1
 ESI = 2
 FDF = 4
 
 make_tuple = tuple.__new__
-"""Fast constructor: ``make_tuple(Frame, (...))`` with all values takes a third of the time of ``Frame(...)``."""
+"""Fast constructor of named tuples.
+
+``make_tuple(Frame, (...))`` takes a third of the time of ``Frame(...)``.
+"""
 
 
 class Frame(NamedTuple):
-    """One CAN frame, classical or FD.
+    """One CAN frame, classical or CAN FD.
 
     Attributes:
         can_id: 11- or 29-bit identifier with the flag bits EXTENDED, REMOTE, ERROR, as in
             SocketCAN.
-        data: payload, at most 8 bytes (classical) or 64 (FD).
+        data: payload, at most 8 bytes in a classical frame and 64 bytes in a CAN FD frame.
         flags: BRS | ESI | FDF, 0 for a classical frame.
         bus: index into the hand's list of buses.
         t_ns: time of reception on the run's clock [ns], 0 for a frame to be sent.

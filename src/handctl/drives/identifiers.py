@@ -1,7 +1,7 @@
-"""Check that each identifier on a bus has one sender and one meaning.
+"""Check that each CAN identifier on a bus has one meaning.
 
-The check uses the identifiers that each drive object lists, so a new protocol needs no new code
-here.
+The check uses the identifiers that each drive object lists. A new protocol therefore needs no new
+code here.
 """
 
 from collections.abc import Iterable
@@ -15,34 +15,35 @@ class Owner(Protocol):
 
     @property
     def bus(self) -> int:
-        """Return the index of the bus."""
+        """Return the index of the bus of the node."""
         ...
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers sent only by the host."""
+        """Return the identifiers of frames from a host to the node."""
         ...
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifiers sent by the node."""
+        """Return the identifiers of frames from the node."""
         ...
 
 
 def check_identifiers(owners: Iterable[tuple[str, Owner]]) -> None:
-    """Check that no two nodes on a bus share an identifier.
+    """Check that no two nodes on a bus use the same identifier for different frames.
 
     Args:
-        owners: pairs of the key path in the hand file and the node.
+        owners: each node, after the key path of its section in the hand file.
 
     Raises:
-        ConfigError: two nodes share an identifier.
+        ConfigError: two nodes use the same identifier.
     """
     checked: list[tuple[str, Owner]] = []
     for where, owner in owners:
         for other_where, other in checked:
             if owner.bus == other.bus:
-                # Two nodes may listen to one host identifier (NMT, SYNC). An answer identifier must be unique.
+                # Two nodes may receive the same frame of the host (NMT, SYNC). The identifier of a
+                # node's own frame must be unique.
                 both = owner.node_ids & (other.node_ids | other.host_ids) | owner.host_ids & other.node_ids
                 if both:
                     hint = f"another number; {other_where} uses it"

@@ -1,8 +1,8 @@
-"""Position and velocity control in the drive: the controlled quantity, and the drive's own limits.
+"""Drive modes in which the drive itself controls its position or velocity: controlled quantity and limits.
 
-A drive of these modes is a ``contract.Drive`` whose command is a position [rad] or a velocity
-[rad/s] at the spool instead of a torque. ``torque_limit`` is then the largest command in that unit.
-The torque limit, watchdog and read-back of the torque mode stay in force.
+A drive in such a mode is a ``contract.Drive`` whose command is a position [rad] or a velocity
+[rad/s] at the spool instead of a torque. Its attribute ``torque_limit`` is then the largest command
+in that unit. The drive keeps the torque limit, the watchdog and the read-back of the torque mode.
 """
 
 import enum
@@ -20,10 +20,10 @@ class DriveMode(enum.Enum):
     POSITION = "position"
     VELOCITY = "velocity"
     FORCE_POSITION = "force-position"
-    """Position with a current limit in each command (Damiao)."""
+    """Position. Each command also contains a current limit (Damiao drives)."""
 
     def rest(self, position: float) -> float:
-        """Return the command that causes no motion at a position: the position itself, or zero otherwise."""
+        """Return the command that causes no motion: the present position in the position modes, zero in the others."""
         return position if self in (DriveMode.POSITION, DriveMode.FORCE_POSITION) else 0.0
 
 
@@ -33,11 +33,11 @@ COMMAND_UNITS = {
     DriveMode.VELOCITY: "rad/s",
     DriveMode.FORCE_POSITION: "rad",
 }
-"""Unit of the command at the spool."""
+"""Unit of the command in each mode. Commands refer to the spool."""
 
 
 class MotionLimits(NamedTuple):
-    """Limits that the drive enforces as well as the host.
+    """Limits of a motion, which both the drive and the host enforce.
 
     Attributes:
         speed: largest speed [rad/s at the spool].
@@ -49,7 +49,7 @@ class MotionLimits(NamedTuple):
 
 
 def check_limits(limits: MotionLimits) -> None:
-    """Check the limits.
+    """Check the limits of a motion.
 
     Raises:
         ConfigError: a limit is not finite and positive.
@@ -60,5 +60,5 @@ def check_limits(limits: MotionLimits) -> None:
 
 
 def init_fields(drive: Any) -> dict[str, Any]:
-    """Return the constructor's arguments of a drive, to build a drive of another mode from it."""
+    """Return the arguments with which a drive was constructed, to construct a drive in another mode from them."""
     return {field.name: getattr(drive, field.name) for field in fields(drive) if field.init}

@@ -1,7 +1,7 @@
-"""List of protocols, and the keys of a ``[[motor]]`` section in the hand file that the drives use.
+"""List of drive protocols, and the keys in a ``[[motor]]`` section of the hand file that drives use.
 
-``PROTOCOLS`` is the list of protocols. ``registry`` adds the code of each protocol. Its import
-would take too long for a help text.
+``PROTOCOLS`` is the list of protocols. The module ``registry`` adds the code of each protocol. A
+help text only needs this list, and importing ``registry`` would take too long.
 """
 
 from collections.abc import Mapping
@@ -12,11 +12,11 @@ class ProtocolTraits(NamedTuple):
     """Properties of a protocol that are known without its code.
 
     Attributes:
-        title: name in documents.
-        guarded: True if the drives have a watchdog and limits that are read back. The fault
-            campaign and the option ``--protocol`` of a simulated hand take guarded protocols only.
-        can_fd: True if the bus needs CAN FD.
-        options: drive options of a simulated hand.
+        title: name of the protocol in documents.
+        guarded: True if the drives have a watchdog, and limits that can be read back. The fault
+            campaign and the option ``--protocol`` of a simulated hand accept only such protocols.
+        can_fd: True if the bus of the drives needs CAN FD.
+        options: values of the drive options in a simulated hand.
     """
 
     title: str
@@ -37,13 +37,16 @@ PROTOCOLS: dict[str, ProtocolTraits] = {
     "cubemars": ProtocolTraits("CubeMars", guarded=False, options={"motor_type": "ak80-6"}),
     "robstride_mit": ProtocolTraits("RobStride in MIT mode", guarded=False, options={"motor_type": "rs05"}),
 }  # fmt: skip
-"""Protocols by their name in the hand file."""
+"""Properties of each protocol, by the name of the protocol in the hand file."""
 GUARDED = tuple(name for name, traits in PROTOCOLS.items() if traits.guarded)
-"""Names of the guarded protocols, see ``Protocol.guarded``."""
+"""Names of the guarded protocols, see ``ProtocolTraits.guarded``."""
 
 
 class MotorDescription(Protocol):
-    """A ``[[motor]]`` section. Attribute names are the keys of the file."""
+    """A ``[[motor]]`` section of the hand file.
+
+    The attributes have the names of the keys in the file.
+    """
 
     @property
     def name(self) -> str:
@@ -52,22 +55,22 @@ class MotorDescription(Protocol):
 
     @property
     def protocol(self) -> str:
-        """Return the name of the protocol."""
+        """Return the name of the drive's protocol."""
         ...
 
     @property
     def node_id(self) -> int:
-        """Return the node number on the bus."""
+        """Return the node number of the drive on its bus."""
         ...
 
     @property
     def position_range_rad(self) -> float:
-        """Return the full scale of the position [rad]."""
+        """Return the full scale of the position of the drive [rad]."""
         ...
 
     @property
     def velocity_range_rad_s(self) -> float:
-        """Return the full scale of the velocity [rad/s]."""
+        """Return the full scale of the velocity of the drive [rad/s]."""
         ...
 
     @property
@@ -82,15 +85,15 @@ class MotorDescription(Protocol):
 
     @property
     def zero_rad(self) -> float:
-        """Return the motor angle of the spool's zero [rad]."""
+        """Return the motor angle at spool angle zero [rad]."""
         ...
 
     @property
     def watchdog_ms(self) -> float:
-        """Return the watchdog time of the drive [ms]."""
+        """Return the timeout of the drive's watchdog [ms]."""
         ...
 
     @property
     def options(self) -> Mapping[str, Any]:
-        """Return the options of the protocol."""
+        """Return the options of the motor that its protocol defines."""
         ...

@@ -1,4 +1,4 @@
-"""Validators of motor options, shared by the protocols."""
+"""Checks of the options of a motor in the hand file, for all protocols."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol, TypeVar
@@ -8,11 +8,11 @@ from handctl.errors import ConfigError
 
 
 class FullScale(Protocol):
-    """Ranges of a motor model."""
+    """Ranges of the values in the frames of a motor model."""
 
     @property
     def torque(self) -> float:
-        """Return the full scale of the torque [N m]."""
+        """Return the largest torque that a frame can carry [N m]."""
         ...
 
 
@@ -24,28 +24,28 @@ def checked_positive(value: object, where: str, largest: float) -> float:
 
     Args:
         value: value in the hand file.
-        where: key path.
+        where: key path of the value, for the error message.
         largest: largest accepted value.
 
     Raises:
-        ConfigError: not a number above 0, or larger than ``largest``.
+        ConfigError: the value is not a number above 0, or is larger than ``largest``.
     """
-    # bool is a subclass of int, so it is excluded. The comparison is False for NaN.
+    # bool is a subclass of int, and is therefore excluded. The comparison is False for NaN.
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= largest:
         raise ConfigError("missing" if value is None else repr(value), where, f"a number above 0, at most {largest:g}")
     return float(value)
 
 
 def checked_whole_number(value: object, where: str, largest: int) -> int:
-    """Return a whole number of at least 1.
+    """Return the value as a whole number of at least 1.
 
     Args:
         value: value in the hand file. 50.0 is accepted as 50.
-        where: key path.
+        where: key path of the value, for the error message.
         largest: largest accepted value.
 
     Raises:
-        ConfigError: not a whole number from 1 to ``largest``.
+        ConfigError: the value is not a whole number from 1 to ``largest``.
     """
     number = value if not isinstance(value, float) else int(value) if value.is_integer() else 0
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= largest:
@@ -58,10 +58,10 @@ def checked_boolean(value: object, where: str) -> bool:
 
     Args:
         value: value in the hand file.
-        where: key path.
+        where: key path of the value, for the error message.
 
     Raises:
-        ConfigError: neither true nor false.
+        ConfigError: the value is neither true nor false.
     """
     if type(value) is not bool:
         raise ConfigError(repr(value), where, "true or false")
@@ -69,12 +69,12 @@ def checked_boolean(value: object, where: str) -> bool:
 
 
 def pop_motor_model(options: dict[str, Any], where: str, models: Mapping[str, Ranges]) -> Ranges:
-    """Remove the option ``motor_type``, and return the ranges of this model.
+    """Remove the option ``motor_type``, and return the ranges of the motor model that it names.
 
     Args:
         options: options of the motor, modified in place.
-        where: key path of the motor.
-        models: ranges by the name of the model.
+        where: key path of the motor, for the error message.
+        models: ranges of each model, by the name of the model.
 
     Raises:
         ConfigError: the model is missing or unknown.
@@ -87,12 +87,12 @@ def pop_motor_model(options: dict[str, Any], where: str, models: Mapping[str, Ra
 
 
 def refuse_unknown_options(options: Mapping[str, Any], where: str, right: str) -> None:
-    """Check that a drive has used all options.
+    """Raise an error if the hand file has options that the protocol does not use.
 
     Args:
-        options: options that are left.
+        options: options that are left after the protocol has taken its own.
         where: key path of the options.
-        right: keys that the drive accepts, for the message.
+        right: text about the keys that the protocol accepts, for the error message.
 
     Raises:
         ConfigError: an option is left.
@@ -102,10 +102,10 @@ def refuse_unknown_options(options: Mapping[str, Any], where: str, right: str) -
 
 
 def check_full_scale(motor: MotorDescription, ranges: FullScale) -> None:
-    """Check that the torque limit of a motor is within the full scale of the model.
+    """Check that the torque limit of a motor is within the full scale of its model.
 
     Raises:
-        ConfigError: the limit is larger.
+        ConfigError: the torque limit is larger than the full scale.
     """
     if motor.torque_max_N_m > ranges.torque:
         raise ConfigError(

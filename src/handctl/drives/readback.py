@@ -1,38 +1,38 @@
 """Read-back of drive settings: read each setting, write it if it is wrong, and read it again.
 
-All protocols share the ``Cursor``, the position in their list of settings. A protocol adds the
-payload of each request, and recognises the reply to the open request.
+All protocols share the ``Cursor``, which is a position in the list of settings of a protocol. The
+code of a protocol adds the payload of each request, and recognises the reply to the open request.
 
-The torque limit and the watchdog in the drive protect the hand even if the host fails. Therefore
-both are read again while the drive is enabled. A drive may restart within a few milliseconds and be
-enabled again. The drive then has its saved settings, but not the settings written by the host
-before arming. Feedback does not show such a restart. Every half second one setting of each drive is
-read, in turn. Each drive has its own time offset, so that no tick contains the requests of several
-drives.
+The torque limit and the watchdog in the drive protect the hand even if the host fails. Both are
+therefore read again while the drive is enabled. A drive may restart within a few milliseconds, and
+may then be enabled again. It then has the settings saved in the drive, and not those that the host
+wrote before arming. Its feedback does not show such a restart. Every half second one setting of
+each drive is read, the next setting each time. Each drive has its own time offset, so that no tick
+contains the requests of several drives.
 """
 
 from typing import NamedTuple
 
 REQUEST_TIMEOUT_NS = 20_000_000
-"""Time after which an open request is repeated [ns]."""
+"""Time after which a request without an answer is repeated [ns]."""
 REQUEST_TRIES = 10
 """Number of unanswered requests for one setting after which the drive is in fault."""
 RECHECK_NS = 500_000_000
-"""Time between two requests to an enabled drive [ns].
+"""Time between two read-back requests to an enabled drive [ns].
 
-A shorter time would overload a classical bus with 11 MIT motors at 200 Hz.
+With a shorter time, a hand of 11 MIT motors at 200 Hz would overload a classical bus.
 """
 RECHECKS_PER_SECOND = 1e9 / RECHECK_NS
-"""Rate of requests to an enabled drive [1/s]."""
+"""Rate of read-back requests to an enabled drive [1/s]."""
 STAGGER_NS = 37_000_000
-"""Offset between drives with consecutive node numbers [ns].
+"""Time from the request to one drive to the request to the drive with the next node number [ns].
 
-Offset and period in milliseconds have no common factor.
+This offset and ``RECHECK_NS``, in milliseconds, have no common factor.
 """
 RECHECK_TRIES = 20
-"""Number of requests in a row without an answer after which the setting counts as lost.
+"""Number of consecutive requests without an answer after which a setting of an enabled drive counts as lost.
 
-On a bus that loses a fifth of the frames in each direction, 20 requests in a row stay unanswered
+On a bus that loses a fifth of the frames in each direction, 20 consecutive requests stay unanswered
 once in 10^9 periods.
 """
 
@@ -42,9 +42,10 @@ class Cursor(NamedTuple):
 
     Attributes:
         step: index of the present setting.
-        writing: True if the next request writes, because the value read was wrong.
+        writing: True if the next request writes the setting, because the value in the drive was
+            wrong.
         written: number of writes of this setting so far.
-        sent_ns: time of the open request [ns], -1 without an open request.
+        sent_ns: time at which the open request was sent [ns], -1 if no request is open.
         tries: number of requests for this setting so far.
     """
 
@@ -56,20 +57,20 @@ class Cursor(NamedTuple):
 
     @property
     def waiting(self) -> bool:
-        """Return True if a request has no answer yet."""
+        """Return True if a request has been sent and has no answer yet."""
         return self.sent_ns >= 0
 
     def next_setting(self) -> "Cursor":
-        """Return the cursor at the next setting, after the present one was verified."""
+        """Return the cursor at the next setting, for use when the present one has been verified."""
         return Cursor(self.step + 1)
 
     def after_write(self) -> "Cursor":
-        """Return the cursor after a write request. The next request reads the setting back."""
+        """Return the cursor after a write request. The next request then reads the setting back."""
         return Cursor(self.step, written=self.written + 1)
 
 
 def is_request_due(cursor: Cursor, t_ns: int) -> bool:
-    """Return True if no request waits for an answer, or if the open request timed out."""
+    """Return True if no request waits for an answer, or if the open request has timed out."""
     return not cursor.waiting or t_ns - cursor.sent_ns >= REQUEST_TIMEOUT_NS
 
 
@@ -79,16 +80,17 @@ def cursor_after_request(cursor: Cursor, t_ns: int) -> Cursor:
 
 
 def request_setting(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[Cursor, bool, str]:
-    """Decide whether a read or write request for the present setting is sent now.
+    """Decide if a read or write request for the present setting is to be sent now.
 
     Args:
-        cursor: cursor, not beyond the last setting.
+        cursor: position in the settings, not beyond the last setting.
         name: name of the setting.
         t_ns: time of the tick [ns].
-        tries: number of requests after which the setting counts as not answered.
+        tries: number of requests without an answer after which the drive has a problem.
 
     Returns:
-        the new cursor, True to send the request, and the problem in words, empty without a problem.
+        the new cursor, True if the request is to be sent, and the problem in words, empty without a
+        problem.
     """
     if not is_request_due(cursor, t_ns):
         return cursor, False, ""
@@ -98,14 +100,14 @@ def request_setting(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_T
 
 
 def on_wrong_value(cursor: Cursor, name: str, read: str, expected: str, writes: int) -> tuple[Cursor, str]:
-    """Request a write of a setting whose value is wrong, at most ``writes`` times.
+    """Request that a setting with a wrong value is written, at most ``writes`` times.
 
     Args:
-        cursor: cursor.
+        cursor: position in the settings.
         name: name of the setting.
-        read: value read, as text.
+        read: value in the drive, as text.
         expected: required value, as text.
-        writes: largest number of writes.
+        writes: largest number of times that the setting is written.
 
     Returns:
         the new cursor, and the problem in words, empty without a problem.
@@ -122,8 +124,8 @@ class Recheck(NamedTuple):
     Attributes:
         step: index of the next setting.
         due_ns: time of the next request [ns].
-        waiting: True if a request is open.
-        tries: number of requests in a row without an answer.
+        waiting: True if a request has no answer yet.
+        tries: number of consecutive requests without an answer.
     """
 
     step: int = 0
@@ -133,15 +135,17 @@ class Recheck(NamedTuple):
 
 
 def first_recheck(node_id: int, t_ns: int) -> Recheck:
-    """Return the start of the repeated read-back for a drive that is enabled at ``t_ns`` [ns]."""
+    """Return the position at which the repeated read-back starts, for a drive that is enabled at ``t_ns`` [ns]."""
     return Recheck(due_ns=_next_slot_ns(node_id, t_ns))
 
 
 def next_recheck(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Recheck, str]:
-    """Return the position after a request to the enabled drive, and the problem in words.
+    """Return the position after a read-back request to an enabled drive, and the problem in words.
+
+    The problem is empty if all is right.
 
     Args:
-        check: cursor.
+        check: position in the repeated read-back.
         name: name of the setting.
         node_id: node number of the drive.
         t_ns: time of the tick [ns].
@@ -153,20 +157,20 @@ def next_recheck(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Re
 def on_recheck_reply(
     check: Recheck, count: int, same: bool, name: str, answer: str, expected: str
 ) -> tuple[Recheck, str]:
-    """Compare a setting, read again while the drive is enabled, with its required value.
+    """Compare a setting, read again from an enabled drive, with the required value.
 
-    A wrong value means that the drive may have lost all its settings.
+    If the value is wrong, the drive may have lost all its settings.
 
     Args:
-        check: cursor.
+        check: position in the repeated read-back.
         count: number of settings in the repeated read-back.
-        same: True if the value is the required one.
+        same: True if the setting has the required value.
         name: name of the setting.
         answer: answer of the drive in words, such as ``reads 3``.
         expected: required value, as text.
 
     Returns:
-        the new cursor, and the problem in words, empty without a problem.
+        the new position, and the problem in words, empty without a problem.
     """
     if same:
         return Recheck((check.step + 1) % count, check.due_ns), ""
@@ -174,6 +178,6 @@ def on_recheck_reply(
 
 
 def _next_slot_ns(node_id: int, t_ns: int) -> int:
-    """Return the time of the next request, in the drive's own time slot [ns]."""
+    """Return the time of the next read-back request to a drive, in the time slot of this drive [ns]."""
     offset = node_id * STAGGER_NS % RECHECK_NS
     return ((t_ns - offset) // RECHECK_NS + 1) * RECHECK_NS + offset

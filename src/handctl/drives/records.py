@@ -1,12 +1,12 @@
-"""Frames as rows of bytes. Buses exchange the rows, compiled code reads and writes them, and the log stores them.
+"""CAN frames as rows of bytes: buses exchange the rows, compiled code reads and writes them, and the log stores them.
 
     word 0      t_ns int64
     word 1      bits 0..31 can_id | 32..47 flags | 48..55 bus | 56..63 length
     word 2..9   data, 64 bytes
 
-All fields are little-endian. Code that handles single frames uses ``Frame`` objects, for example
-python-can interfaces, tests, tools, and the state machines of drives. ``Frames`` is a sequence over
-the rows that returns ``Frame`` objects.
+Each row is a record of ten words of 8 bytes. All fields are little-endian. Code that handles single
+frames uses ``Frame`` objects instead, for example python-can interfaces, tests, tools, and the
+state machines of drives. ``Frames`` is a sequence over the rows that returns ``Frame`` objects.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,31 +20,31 @@ from handctl.drives.frame import Frame
 RECORD = np.dtype(
     [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (64,))]
 )
-"""Type of a frame's record: time of reception [ns], identifier with the flag bits of ``frame``, flags, bus, payload."""
+"""Type of the record of a frame: reception time [ns], identifier with flag bits, flags, bus, length, payload."""
 SIZE = RECORD.itemsize
 """Size of a record [bytes]."""
 SHORT_RECORD_BYTES = 24
-"""Length of the part of a record that contains a payload of at most eight bytes [bytes]."""
+"""Length of a record up to the eighth byte of the payload [bytes]."""
 Records = NDArray[np.void]
 Rows = NDArray[np.uint64]
 WORDS = SIZE // 8
 """Size of a record in words of eight bytes."""
-# Words of a record. T_NS is the time. HEAD contains identifier, flags, bus and length, from the
-# lowest bit on.
+# Indices of the words of a record. T_NS is the time. HEAD contains identifier, flags, bus and
+# length, from the lowest bit on. PAYLOAD is the first word of the payload.
 T_NS = 0
 HEAD = 1
 PAYLOAD = 2
-# Lowest bit of flags, bus and length in the word HEAD.
+# Lowest bits of the fields flags, bus and length in the word HEAD.
 FLAGS_BIT = 32
 BUS_BIT = 48
 LENGTH_BIT = 56
 
 
 class Frames(Sequence[Frame]):
-    """Sequence of frames stored as records. Any sequence with equal frames compares equal.
+    """Sequence of frames stored as records. It compares equal to any sequence with equal frames.
 
     Attributes:
-        records: (n,) of ``RECORD``.
+        records: (n,) frames of type ``RECORD``.
     """
 
     __slots__ = ("records",)
@@ -72,14 +72,14 @@ class Frames(Sequence[Frame]):
     @overload
     def __getitem__(self, index: slice) -> "Frames": ...
     def __getitem__(self, index: int | slice) -> "Frame | Frames":
-        """Return one frame, or a slice as ``Frames``."""
+        """Return one frame as ``Frame``, or the frames of a slice as ``Frames``."""
         if isinstance(index, slice):
             return Frames(self.records[index])
         t_ns, can_id, flags, bus, length, data = self.records[index].item()
         return Frame(can_id, data.tobytes()[:length], flags, bus, t_ns)
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames. Each column is converted once, for speed."""
+        """Yield the frames as ``Frame`` objects. For speed, each column is converted as a whole."""
         data = self.records["data"].tobytes()
         columns = [self.records[name].tolist() for name in ("can_id", "length", "flags", "bus", "t_ns")]
         for i, (can_id, length, flags, bus, t_ns) in enumerate(zip(*columns, strict=True)):
@@ -105,10 +105,10 @@ NO_FRAMES = Frames(np.empty(0, RECORD))
 
 
 def frames_as_records(frames: Iterable[Frame]) -> Frames:
-    """Return the frames as records.
+    """Return any frames as ``Frames``, which stores them as records.
 
     Raises:
-        ValueError: a payload of more than 64 bytes.
+        ValueError: a payload has more than 64 bytes.
     """
     if isinstance(frames, Frames):
         return frames
@@ -126,9 +126,9 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
 
 
 def join_frames(parts: Sequence[Frames]) -> Frames:
-    """Return several sequences of frames joined to one."""
+    """Return one sequence with the frames of several sequences."""
     some = [part for part in parts if len(part)]
     if len(some) < 2:
         return some[0] if some else NO_FRAMES
-    # Rows are joined, because numpy takes six times as long to join records.
+    # The rows are joined as words, because numpy takes six times as long to join records.
     return Frames.of_rows(np.concatenate([part.rows for part in some]))

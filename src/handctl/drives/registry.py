@@ -1,4 +1,7 @@
-"""Registry of the drive protocols: the code of each protocol of ``motor_description.PROTOCOLS``."""
+"""Registry of the drive protocols.
+
+It adds the code to each protocol in ``motor_description.PROTOCOLS``.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -30,9 +33,11 @@ class ProtocolEntry(NamedTuple):
     """Constructor and discovery functions of one protocol.
 
     Attributes:
-        make: constructor of a drive from a motor description and a bus index.
-        discovery: discovery functions of the protocol, None if its drives answer only commands.
-        make_mode: constructor of a drive in a mode of its own, None if only torque is supported.
+        make: function constructing a drive from a motor description and a bus index.
+        discovery: discovery functions of the protocol. None if drives of the protocol answer only
+            commands.
+        make_mode: function constructing a drive in a position or velocity mode. None if the
+            protocol only supports torque.
     """
 
     make: Callable[[MotorDescription, int], Drive]
@@ -49,25 +54,25 @@ PROTOCOLS: dict[str, ProtocolEntry] = {
     "cubemars": ProtocolEntry(CubemarsDrive.of, None),
     "robstride_mit": ProtocolEntry(RobstrideMitDrive.of, None),
 }
-"""Protocols by their name in the hand file."""
+"""Code of each protocol, by the name of the protocol in the hand file."""
 DISCOVERIES: dict[str, Discovery] = {
     **{name: entry.discovery for name, entry in PROTOCOLS.items() if entry.discovery},
     "sensor": sensor_discovery.DISCOVERY,
 }
-"""Discovery of each protocol and of the sensor node."""
+"""Discovery functions of each protocol and of the sensor node, by name."""
 PROTOCOLS_WITHOUT_DISCOVERY = tuple(name for name, entry in PROTOCOLS.items() if not entry.discovery)
 """Protocols whose drives a scan cannot find, because they answer only commands."""
 
 
 def make_drive(motor: MotorDescription, bus: int) -> Drive:
-    """Return the drive of a motor.
+    """Return the drive for a motor description, in torque mode.
 
     Args:
         motor: description of the motor.
         bus: index of the bus.
 
     Raises:
-        ConfigError: an unknown protocol, or an unknown option.
+        ConfigError: the protocol or an option of the motor is unknown.
     """
     if motor.protocol not in PROTOCOLS:
         where = f"motor[{motor.name}].protocol"
@@ -76,16 +81,17 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
 
 
 def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> Drive:
-    """Return the drive of a motor in a mode.
+    """Return the drive for a motor description, in the given mode.
 
     Args:
         motor: description of the motor.
         bus: index of the bus.
         mode: quantity that the drive controls.
-        limits: largest speed and acceleration, not used in torque mode.
+        limits: largest speed and acceleration. They are not used in torque mode.
 
     Raises:
-        ConfigError: an unknown protocol or option, or a mode that the protocol does not have here.
+        ConfigError: the protocol or an option is unknown, or handctl does not support this mode of
+            the protocol.
     """
     if mode == DriveMode.TORQUE:
         return make_drive(motor, bus)

@@ -1,15 +1,16 @@
-"""Signal tables of cyclic frames: position, coding, and scale of each value in a frame.
+"""Signal tables of cyclic frames. A table has the position, the coding, and the scale of each value in a frame.
 
-One compiled packer and one compiled unpacker serve all protocols. ``drives.dbc`` writes a DBC file
-for other tools from these tables. Bit positions are those of a DBC: bit 0 is the lowest bit of the
-first byte. The start of a little-endian signal is its lowest bit. The start of a big-endian signal
-is its highest bit.
+One compiled packer and one compiled unpacker serve all protocols. From the same tables,
+``drives.dbc`` writes a DBC file for other tools. Bit positions are those of a DBC: bit 0 is the
+lowest bit of the first byte. The start of a little-endian signal is its lowest bit. The start of a
+big-endian signal is its highest bit.
 
-A signal is read from a window of eight bytes. The window begins at byte 0, or at the first byte of
-the signal if the signal ends after byte 7. Payloads of CAN FD have up to 64 bytes.
+Payloads of CAN FD have up to 64 bytes, and a signal is read from a window of eight of them. The
+window begins at byte 0 if the signal ends at byte 7 or before. Otherwise the window begins at the
+first byte of the signal.
 
-A command may have a signal in its identifier. The identifier is the word of eight bytes before the
-payload, so its lowest bit has the number -64.
+A command may have a signal in its identifier. The word of eight bytes before the payload contains
+the identifier. The lowest bit of this word has the number -64.
 """
 
 import enum
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from handctl.compiled import inner, kernel
 
 Words = NDArray[np.uint64]
-"""Payloads as words of eight bytes, the first byte lowest."""
+"""Payloads as words of eight bytes. The first byte of a payload has the lowest bits."""
 Real = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
@@ -34,14 +35,17 @@ class Quantity(enum.IntEnum):
     VELOCITY = 1
     TORQUE = 2
     TEMPERATURE = 3
-    """Temperature. If a frame has several, the highest is used."""
+    """Temperature. If a frame has several temperatures, the highest is used."""
     STATUS = 4
-    """Status. Several status signals in a frame form one number, with the first signal in the highest bits."""
+    """Status of the drive.
+
+    Several status signals in a frame form one number, with the first in its highest bits.
+    """
     TENSION = 5
     ANGLE = 6
     COUNTER = 7
     UNUSED = 8
-    """Constant value in commands. Ignored in feedback."""
+    """Signal with a constant value in commands, ignored in feedback."""
     STIFFNESS = 9
     """Stiffness of the drive's own position loop, kp."""
     DAMPING = 10
@@ -59,17 +63,17 @@ class Coding(enum.IntEnum):
 
 
 class Signal(NamedTuple):
-    """Value in a frame: value = count * scale + offset.
+    """Place and scale of a value in a frame. The value is count * scale + offset.
 
     Attributes:
         name: name of the signal.
-        quantity: physical quantity.
-        start: start bit, as in a DBC. In an identifier, counted from -64.
-        length: number of bits.
-        big_endian: byte order.
-        coding: coding of the count.
-        scale: value of one count [unit].
-        offset: value of count 0 [unit].
+        quantity: physical quantity of the value.
+        start: number of the start bit, as in a DBC. In an identifier, bits count from -64.
+        length: number of bits of the signal.
+        big_endian: True if the highest byte comes first.
+        coding: coding of the count in these bits.
+        scale: change of the value per count [unit].
+        offset: value at count 0 [unit].
         unit: unit of the value.
         channel: index of the tendon or joint, in a frame with several tendons or joints.
     """
@@ -87,7 +91,7 @@ class Signal(NamedTuple):
 
 
 class Message(NamedTuple):
-    """Cyclic frame.
+    """Frame exchanged in every tick.
 
     Attributes:
         name: name of the message.
@@ -95,12 +99,12 @@ class Message(NamedTuple):
         length: length of the payload [bytes].
         signals: signals in the frame.
         flags: flags of the frame, see ``frame``.
-        base: payload of a command with all signals 0.
+        base: payload of a command in which all signals are 0.
         answers: True for feedback that answers a command.
-        limit: largest absolute value of a command, in the unit of its signal.
-        nearest: True for a message that the drive sends on request and also by itself, measured at
-            different times. If several frames arrive in a tick, the one nearest to the expected
-            position is used.
+        limit: largest absolute value that a command may have, in the unit of its signal.
+        nearest: True for feedback that the drive sends both on request and by itself, with values
+            measured at different times. If several such frames arrive in a tick, the one nearest to
+            the expected position is used.
     """
 
     name: str
@@ -142,43 +146,43 @@ The drive makes the torque kp (position - p) + kd (velocity - v) + torque.
 
 
 START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL, WINDOW = range(7)
-"""Columns of the integer array that describes signals to the packer and the unpacker.
+"""Columns of the integer array in which the packer and the unpacker look up the signals.
 
-START is the lowest bit of the signal in its window. WINDOW is the first byte of the window, or
-IN_IDENTIFIER.
+START is the number of the lowest bit of the signal in the window. WINDOW is the first byte of the
+window in the payload, or IN_IDENTIFIER.
 """
 IN_IDENTIFIER = -8
-"""Value of WINDOW for a signal in the identifier."""
+"""Value in the column WINDOW for a signal in the identifier."""
 IDENTIFIER_BIT = -64
-"""Number of the lowest bit of the identifier, as a start bit."""
+"""Number of the lowest bit of the identifier, where ``Signal.start`` counts bits."""
 COLUMNS = 7
-"""Number of integer columns."""
+"""Number of columns of this integer array."""
 UNSIGNED, SIGNED, FLOAT = map(int, Coding)
-"""Codings as module-level integers, for compiled code."""
+"""Values of ``Coding`` as integers of the module, for compiled code."""
 SCALE, OFFSET = range(2)
-"""Columns of the float array."""
+"""Columns of the float array, which has the scale and the offset of each signal."""
 
 
 def integer_columns(signal: Signal) -> tuple[int, ...]:
-    """Return the values of the integer columns for a signal. Its start is the lowest bit in its window."""
+    """Return the values of the integer columns for a signal, see ``START``."""
     order, coding, quantity = int(signal.big_endian), int(signal.coding), int(signal.quantity)
     if signal.start < 0:
         start = signal.start - IDENTIFIER_BIT
         return start, signal.length, order, coding, quantity, signal.channel, IN_IDENTIFIER
     first = signal.start // 8
-    # Bits of the first byte that precede the signal, in the order of the signal's bits.
+    # Number of bits of the first byte that come before the signal, in the order of its bits.
     before = 7 - signal.start % 8 if signal.big_endian else signal.start % 8
     window = first if 8 * first + before + signal.length > 64 else 0
     start = 8 * (first - window) + before
     if signal.big_endian:
-        # Position of the signal's lowest bit in a word whose first byte is the highest.
+        # Number of the lowest bit of the signal, in a word whose first byte has the highest bits.
         start = 64 - start - signal.length
     return start, signal.length, order, coding, quantity, signal.channel, window
 
 
 @inner
 def window_at(words: Any, first: int, byte: int) -> Any:
-    """Return eight bytes of a payload as uint64, from the given byte on. Bytes after the last word are 0.
+    """Return eight bytes of a payload as uint64, from ``byte`` on. Bytes after the last word are 0.
 
     Args:
         words: (n,) uint64 words of a row.
@@ -188,8 +192,8 @@ def window_at(words: Any, first: int, byte: int) -> Any:
     at = first + byte // 8
     shift = np.uint64(8 * (byte % 8))
     value = words[at] >> shift
-    # The second word is used only if the window is divided, because a shift by 64 bits is
-    # undefined.
+    # The second word is read only if the window is in two words. Otherwise the shift would be 64
+    # bits, which is undefined.
     if shift > np.uint64(0) and at + 1 < len(words):
         value |= words[at + 1] << (np.uint64(64) - shift)
     return value
@@ -197,13 +201,13 @@ def window_at(words: Any, first: int, byte: int) -> Any:
 
 @inner
 def write_window(words: Any, first: int, byte: int, bits: Any) -> None:
-    """Write the bits of a signal (uint64) into a payload that has zeros at their positions.
+    """Write the bits of a signal (uint64) into a payload. The payload must have zeros at their positions.
 
     Args:
         words: (n,) uint64 words of a row.
         first: index of the first word of the payload.
         byte: first byte of the window.
-        bits: content of the window.
+        bits: bits of the signal at their positions in the window.
     """
     at = first + byte // 8
     shift = np.uint64(8 * (byte % 8))
@@ -233,7 +237,7 @@ def decode_signal(value: Any, wholes: Whole, reals: Real, i: int) -> float:
         number = np.float64(np.uint32(bits).view(np.float32))
         return number * reals[i, SCALE] + reals[i, OFFSET] if math.isfinite(number) else math.nan
     count = np.int64(bits)
-    # The top bit is the sign: extend it.
+    # The top bit is the sign, and is extended to all higher bits.
     if coding == SIGNED and count >> (length - 1):
         count -= np.int64(1) << length
     result: float = count * reals[i, SCALE] + reals[i, OFFSET]
@@ -242,12 +246,12 @@ def decode_signal(value: Any, wholes: Whole, reals: Real, i: int) -> float:
 
 @inner
 def encode_signal(value: float, wholes: Whole, reals: Real, i: int) -> Any:
-    """Return the bits of signal i at their position in a window.
+    """Return the bits of signal i at their position in a window, for a value.
 
-    The value must be finite and within range. Half a count is rounded up.
+    The value must be finite and in the range of the signal. Half a count is rounded up.
     """
     # floor(x + 0.5) is used, because round() rounds a half to the even number. The mask removes the
-    # sign extension.
+    # bits above the signal that a negative number sets.
     scaled = (value - reals[i, OFFSET]) / reals[i, SCALE]
     mask = (np.uint64(1) << np.uint64(wholes[i, LENGTH])) - np.uint64(1)
     if wholes[i, CODING] == FLOAT:
@@ -259,9 +263,9 @@ def encode_signal(value: float, wholes: Whole, reals: Real, i: int) -> Any:
 
 @kernel("words", "matrix_int", "matrix")
 def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
-    """Return the value of each signal (signals,) from an identifier and payload (1, words).
+    """Return the value of each signal (signals,), from the words of an identifier and a payload (1, words).
 
-    The arrays have one row per signal.
+    The arrays ``rows`` and ``reals`` have one row per signal.
     """
     result = np.empty(len(rows))
     for i in range(len(rows)):
@@ -272,9 +276,9 @@ def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
 
 @kernel("words", "matrix_int", "matrix", "vector")
 def pack_rows(data: Words, rows: Whole, reals: Real, values: Real) -> None:
-    """Write the value of each signal (signals,) into identifier and payload (1, words).
+    """Write the value of each signal (signals,) into the words of an identifier and a payload (1, words).
 
-    The bits at the positions of the signals must be zero.
+    All bits at the positions of the signals must be zero before.
     """
     for i in range(len(rows)):
         bits = encode_signal(values[i], rows, reals, i)
@@ -286,8 +290,8 @@ class Table:
 
     Attributes:
         message: the message.
-        wholes: (signals, COLUMNS), see ``START``.
-        reals: (signals, 2), see ``SCALE``.
+        wholes: (signals, COLUMNS) integer columns, see ``START``.
+        reals: (signals, 2) scale and offset, see ``SCALE``.
     """
 
     def __init__(self, message: Message) -> None:
@@ -301,26 +305,26 @@ class Table:
         self.reals: Real = np.array([(one.scale, one.offset) for one in signals], dtype=np.float64).reshape(-1, 2)
 
     def unpack(self, data: bytes) -> list[float]:
-        """Return the value of each signal, NaN for a float that is not finite."""
+        """Return the value of each signal in a payload, NaN for a float that is not finite."""
         values: list[float] = unpack_rows(self._words(data), self.wholes, self.reals).tolist()
         return values
 
     def pack(self, *values: float) -> bytes:
-        """Return the payload that contains one value per signal.
+        """Return the payload with the given values, one per signal.
 
         Raises:
-            ValueError: a value is not finite, or beyond the limit.
+            ValueError: a value is not finite, or exceeds the limit of the message.
         """
         return self.pack_frame(*values)[1]
 
     def pack_frame(self, *values: float) -> tuple[int, bytes]:
-        """Return the identifier and the payload that contain one value per signal.
+        """Return the identifier and the payload with the given values, one per signal.
 
         Raises:
-            ValueError: a value is not finite, or beyond the limit.
+            ValueError: a value is not finite, or exceeds the limit of the message.
         """
         for value, (name, unit) in zip(values, self._names, strict=True):
-            # Negated, so that NaN is refused.
+            # The comparison is negated, so that it refuses NaN.
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"{name} {value} {unit}, expected at most {self.message.limit:g}")
         data = self._words(self.message.base)
@@ -328,7 +332,10 @@ class Table:
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 
     def _words(self, data: bytes) -> Words:
-        """Return identifier and payload as words (1, words), with zeros appended if the payload is shorter."""
+        """Return the identifier and a payload as words (1, words).
+
+        A short payload is filled up with zeros.
+        """
         size = 8 * max(1, -(-self.message.length // 8))
         head = self.message.can_id.to_bytes(8, "little")
         return np.frombuffer(head + data.ljust(size, b"\0")[:size], np.uint64).reshape(1, -1).copy()

@@ -1,7 +1,8 @@
-"""Gymnasium environments of a simulated hand, see ``docs/how-to/gym.md``.
+"""Gymnasium environments with a simulated hand, explained in ``docs/how-to/gym.md``.
 
-``import handctl.gym`` registers ``handctl/Track-v0`` and ``handctl/Grasp-v0``.
-``gymnasium.make("handctl.gym:handctl/Track-v0")`` needs no import.
+The import of ``handctl.gym`` registers the environments ``handctl/Track-v0`` and
+``handctl/Grasp-v0``. The call ``gymnasium.make("handctl.gym:handctl/Track-v0")`` needs no import
+before it.
 """
 
 from handctl.extras import require_extra

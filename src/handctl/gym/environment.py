@@ -1,8 +1,8 @@
-"""Base class of the environments: a homed simulated hand in lockstep, commanded by a stream of targets.
+"""Base class of the Gymnasium environments: a homed simulated hand in lockstep, which a stream of targets commands.
 
-An action is processed like a client's target: as text in ``TickIn``. Therefore the controller
-checks, clips, and limits the action, and the safety monitor reacts as on a real hand. Only
-``Track`` and ``Grasp`` define rewards.
+An action takes the same way as the target of a client: as text in ``TickIn``. Therefore the
+controller checks, clips and limits the action. The safety monitor reacts as on a real hand. The
+base class defines no rewards. ``Track`` and ``Grasp`` do.
 """
 
 import json
@@ -34,36 +34,36 @@ from handctl.session.plan import check_ready, highest_rate_of_buses
 from handctl.session.simulate import Simulation, Simulator, homed_controller
 
 RATE_HZ = 50.0
-"""Rate of the actions [Hz].
+"""Rate of the actions that an environment aims at [Hz].
 
-The stream of targets has the nearest rate whose period is a whole number of ticks.
+The actual rate is the nearest one whose period is a whole number of ticks.
 """
 SPEED_DEG_S = 60.0
 """Default for the largest rate of change of a target [deg/s], a fifth of the default limit of a stream."""
 READY_TIMEOUT_S = 5.0
-"""Longest time from power-up until the hand accepts targets [s]."""
+"""Longest simulated time from power-up until the hand accepts targets [s]."""
 STREAM_NAME = "gym"
-"""Name of the stream."""
+"""Name of the stream that carries the targets of the actions."""
 TargetSpace = Literal["joint", "digit"]
-"""Meaning of an action: one target per joint, or one target for all joints of a digit."""
+"""Meaning of an action: one target for each joint, or one target for all joints of each digit."""
 
 
 class HandEnv(gymnasium.Env[Numbers, Numbers]):
-    """Environment of a simulated hand.
+    """Gymnasium environment with a simulated hand.
 
     Attributes:
         hand: description of the hand.
-        names: names of the joints or digits in an action, in order.
+        names: names of the joints or digits to which the V targets of an action belong, in order.
         layout: names, units and bounds of an observation.
         low_deg, high_deg: (V,) angles for the action values -1 and 1 [deg].
-        ticks: number of control ticks per step.
+        ticks: number of control ticks in a step.
         step_s: duration of a step [s].
-        horizon_s: time from an action until the hand should reach its target [s].
+        horizon_s: time from an action until the hand should reach the target of the action [s].
         longest: largest number of steps in an episode.
     """
 
     has_tensions: ClassVar = False
-    """True if an action includes one tension per digit after the targets."""
+    """True if an action has a tension for each digit after the targets."""
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": round(RATE_HZ)}  # noqa: RUF012
 
     def __init__(
@@ -74,17 +74,18 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         perturb: Mapping[str, float] | None,
         speed_deg_s: float = SPEED_DEG_S,
     ) -> None:
-        """Create the environment. The controller is designed only once for each hand.
+        """Create the environment. The controller of each hand is designed only once in a process.
 
         Args:
             hand: name of a packaged hand, or path of a hand file.
-            space: meaning of an action.
+            space: meaning of an action, see ``TargetSpace``.
             duration_s: longest duration of an episode [s].
-            perturb: factors for the parameters of the simulated plant, see ``handctl sim --help``.
+            perturb: factors by which parameters of the simulated plant are multiplied, see
+                ``handctl sim --help``.
             speed_deg_s: largest rate of change of the targets [deg/s].
 
         Raises:
-            ConfigError: hand, space, duration or speed is invalid.
+            ConfigError: the hand, the space, the duration or the speed is invalid.
         """
         if space not in ("joint", "digit"):
             raise ConfigError(repr(space), "space", "joint or digit")
@@ -119,10 +120,10 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
     @abstractmethod
     def parts(self) -> list[ObservationPart]:
-        """Return the parts of an observation."""
+        """Return the parts of an observation of this environment."""
 
     def body_parts(self) -> list[ObservationPart]:
-        """Return the parts that all environments have: joint angles and rates, and tensions."""
+        """Return the parts of an observation that all environments have: joint angles, joint rates and tensions."""
         largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
         return [
             telemetry_part(self.hand, "q_rad", -math.pi, math.pi),
@@ -132,34 +133,34 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
     @abstractmethod
     def extra_values(self, name: str) -> Any:
-        """Return the values of a part of the observation that the telemetry does not contain."""
+        """Return the values of a part of the observation that does not come from the telemetry."""
 
     @abstractmethod
     def begin(self) -> None:
-        """Begin an episode, after the simulated hand has started to accept targets."""
+        """Begin an episode. The simulated hand has just started to accept targets."""
 
     @abstractmethod
     def judge(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward of the step, True if the episode has ended by success or failure, and information."""
+        """Return the reward of a step, True if the episode has ended by success or failure, and further information."""
 
     def scene(self) -> str | None:
         """Return the scene of the next episode, or None for a hand without objects.
 
-        Random choices use ``np_random``.
+        A subclass that chooses a scene at random uses ``np_random``.
         """
         return None
 
     def requests(self, action: Vector) -> list[str]:
-        """Return the requests of a step in addition to the target of the stream."""
+        """Return the requests that a step sends besides the target of the stream."""
         return []
 
     def streamed(self, action: Vector) -> tuple[str, ...]:
-        """Return the names of the action that are streamed in this step."""
+        """Return those joints or digits whose targets the step streams."""
         return self.names
 
     @property
     def run(self) -> Simulation:
-        """Return the simulation of the episode.
+        """Return the simulation of the present episode.
 
         Raises:
             ConfigError: no episode has begun.
@@ -177,27 +178,29 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
     @property
     def t_s(self) -> float:
-        """Return the time of the episode [s]."""
+        """Return the time since the start of the episode [s]."""
         return self.steps * self.step_s
 
     @property
     def true_q(self) -> Vector:
-        """Return the true joint angles of the plant (J,) [rad]."""
+        """Return the true joint angles of the simulated hand (J,) [rad]."""
         return np.array(self.run.peer.world.plant.engine.q)
 
     @property
     def world(self) -> Any:
-        """Return the simulated plant, for rewards."""
+        """Return the simulated world, whose true values the rewards need."""
         return self.run.peer.world
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Numbers, dict[str, Any]]:
-        """Power up a homed hand, and wait until it accepts targets. See ``gymnasium.Env``.
+        """Begin an episode, as ``gymnasium.Env`` defines.
+
+        Power up a homed hand, and wait until the hand accepts targets.
 
         Args:
-            seed: seed for noise, scene and reference of this and the following episodes.
-            options: no options are supported.
+            seed: seed for noise, scene and reference in this episode and all later episodes.
+            options: not used.
         """
         super().reset(seed=seed)
         self._open.close()
@@ -217,7 +220,10 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return self._observation(), self._extra_information()
 
     def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
-        """Send the targets of an action, and run the ticks until the next action. See ``gymnasium.Env``."""
+        """Send the targets of an action, and simulate until the next action is due.
+
+        ``gymnasium.Env`` defines the results.
+        """
         run = self.run
         clipped = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         if clipped.shape != self.action_space.shape or not np.isfinite(clipped).all():
@@ -237,7 +243,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return self._observation(), float(reward), ended or failed, truncated, self._extra_information() | information
 
     def close(self) -> None:
-        """Delete the simulated hand."""
+        """End the simulation of the hand."""
         self._open.close()
         self._run = None
 
@@ -247,18 +253,24 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return self.low_deg + 0.5 * (part + 1.0) * (self.high_deg - self.low_deg)
 
     def action_for(self, angles_deg: Vector) -> Numbers:
-        """Return the action whose targets are the given angles (V,) [deg], without extra actions."""
+        """Return the action whose targets are the given angles (V,) [deg].
+
+        The action has no tensions of digits.
+        """
         scaled = 2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
         return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 
     def values_of(self, q: Vector) -> Vector:
-        """Return the angle for each name of an action (V,) at joint angles (J,), in the unit of these angles."""
+        """Return joint angles (J,) in the form of an action's targets (V,), in the unit of the angles."""
         if self._space == "joint":
             return np.asarray(q)
         return np.array([(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits])
 
     def _step_requests(self, action: Vector) -> list[str]:
-        """Return the requests of a step. If the streamed names change, a new stream is opened."""
+        """Return all requests of a step.
+
+        A request opens a new stream if other joints or digits are streamed than before.
+        """
         requests = self.requests(action)
         names = self.streamed(action)
         if names and names != self._streamed:
@@ -271,7 +283,10 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return [*requests, self._target_request(action)] if names else requests
 
     def _target_request(self, action: Vector) -> str:
-        """Return the request of the next target, which approaches the action at the largest rate."""
+        """Return the request with the next target.
+
+        The target moves towards the target of the action, at most at the largest rate.
+        """
         change = self.angles_deg(action) - self._target_deg
         self._target_deg = self._target_deg + np.clip(change, -self._largest_step_deg, self._largest_step_deg)
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
@@ -288,7 +303,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         )
 
     def _extra_information(self) -> dict[str, Any]:
-        """Return further information about the hand, in addition to the observation."""
+        """Return the information about the hand that does not belong to the observation."""
         state = self.run.state
         stream = stream_status(state)
         return {
@@ -302,9 +317,9 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
 @lru_cache(maxsize=8)
 def _controller(path: str) -> Controller:
-    """Return the controller of a homed hand.
+    """Return the controller of a hand that is already homed.
 
-    A controller is constant, so that environments can share the object.
+    A controller never changes. Therefore several environments can share one object.
     """
     hand = load_hand(path)
     check_ready(hand, path)
@@ -313,9 +328,9 @@ def _controller(path: str) -> Controller:
 
 
 def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
-    """Return the lowest and the highest target of each name (V,) [deg].
+    """Return the lowest and the highest target of each joint or digit in an action (V,) [deg].
 
-    The range of a digit is the range of its coordinate with the smallest range.
+    The range of a digit is the part common to the ranges of all coordinates of the digit.
     """
     if space == "joint":
         digits = model.hand.digit

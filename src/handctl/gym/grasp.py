@@ -1,4 +1,4 @@
-"""Environment ``handctl/Grasp-v0``: grasp a cylinder, and hold the cylinder when the table sinks."""
+"""Environment ``handctl/Grasp-v0``: the hand shall grasp a cylinder, and hold the cylinder when the table sinks."""
 
 import json
 from collections.abc import Mapping
@@ -13,26 +13,27 @@ from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
 from handctl.gym.observed import ObservationPart, telemetry_part
 
 FULL_REWARD_FORCE_N = 1.0
-"""Force on the object at which the reward for a digit is largest [N]."""
+"""Force of a digit on the object from which the reward for this digit no longer grows [N]."""
 SUCCESS_HOLD_S = 1.0
-"""Time for which the object must stay in the hand after the table begins to sink [s]."""
+"""Time for which the object must stay in the hand after the table begins to sink, for a success [s]."""
 DROP_DISTANCE_M = 0.015
-"""Fall from which the object counts as dropped [m]."""
+"""Distance of a fall above which the object counts as dropped [m]."""
 RATE_N_PER_S = 40.0
-"""Rate at which a tension approaches the tension of the action [N/s]."""
+"""Rate at which the tension of a digit approaches the tension that an action demands [N/s]."""
 SUCCESS_REWARD = 10.0
 FAILURE_REWARD = -1.0
-"""Reward for a held object, and reward for a dropped object or a fault."""
+"""Reward for a dropped object or a fault. The value above is the reward for a held object."""
 
 
 class GraspEnv(HandEnv):
-    """Environment for a grasp: close the digits on a cylinder of random diameter, and hold it when the table sinks.
+    """Environment for a grasp: the digits close on a cylinder of random diameter, and hold it when the table sinks.
 
-    The table sinks after three digits, the thumb among them, have pressed with 1 N for 1.5 s. An
-    action consists of targets, followed by a tension for each digit. With a positive value t the
-    digit holds t times its largest tension instead of the target. The reward of a step is the
-    change of the mean of min(force / 1 N, 1) over the digits, 10 on success and -1 on a drop or a
-    fault. The reward uses the true forces and the true height of the object.
+    The table sinks after three digits, the thumb among them, have pressed on the cylinder with 1 N
+    for 1.5 s. An action has the targets, and then a value t for the tension of each digit. If t is
+    positive, the digit does not follow a target, but holds t times the largest tension of the
+    digit. The reward of a step is the change of the mean of min(force / 1 N, 1) over the digits. A
+    success adds 10, and a drop or a fault adds -1. The reward uses the true forces and the true
+    height of the object.
     """
 
     has_tensions = True
@@ -46,14 +47,14 @@ class GraspEnv(HandEnv):
         speed_deg_s: float = SPEED_DEG_S,
         diameter_mm: tuple[float, float] = (30.0, 35.0),
     ) -> None:
-        """Create the environment. See ``HandEnv``.
+        """Create the environment. ``HandEnv`` explains the common arguments.
 
         Args:
-            hand, space, duration_s, perturb, speed_deg_s: see ``HandEnv``.
-            diameter_mm: range of the cylinder's diameter [mm].
+            hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
+            diameter_mm: smallest and largest diameter of the cylinder [mm].
 
         Raises:
-            ConfigError: see ``HandEnv``, or the range is empty.
+            ConfigError: as for ``HandEnv``, or the range of diameters is empty or too large.
         """
         low, high = diameter_mm
         if not 5.0 <= low <= high <= 100.0:
@@ -70,7 +71,7 @@ class GraspEnv(HandEnv):
         return f"cylinder:{self.np_random.uniform(*self._diameter_mm):.2f}"
 
     def parts(self) -> list[ObservationPart]:
-        """Return the parts of an observation: joint angles and rates, tensions, tip forces, and contacts."""
+        """Return the parts of an observation: joint angles, joint rates, tensions, tip forces and contacts."""
         return [
             *self.body_parts(),
             telemetry_part(self.hand, "tip_force_N", -50.0, 50.0),
@@ -78,14 +79,14 @@ class GraspEnv(HandEnv):
         ]
 
     def extra_values(self, name: str) -> Any:
-        """Return no values, because the telemetry contains all values."""
+        """Raise an error, because the telemetry contains all values of an observation."""
         raise KeyError(name)
 
     def begin(self) -> None:
-        """Store the initial height of the object.
+        """Begin an episode: store the initial height of the object.
 
         Raises:
-            ConfigError: the object is too large for the open hand.
+            ConfigError: the object is too large and touches the open hand.
         """
         engine = self.world.plant.engine
         self._forces = engine.forces_on("contact", list(self.hand.digit_names))
@@ -97,7 +98,7 @@ class GraspEnv(HandEnv):
         self._held: dict[str, float] = {}
 
     def requests(self, action: Vector) -> list[str]:
-        """Return the requests for new tensions of the holding digits."""
+        """Return the request with the new tensions of digits that hold a tension, if there are any."""
         tension = self._tensions(action).tolist()
         held = {name: value for name, value in zip(self.hand.digit_names, tension, strict=True) if value > 0.0}
         new = {name: value for name, value in held.items() if value != self._held.get(name)}
@@ -105,17 +106,23 @@ class GraspEnv(HandEnv):
         return [json.dumps({"do": "hold", "tension_N": new, "rate_N_per_s": RATE_N_PER_S})] if new else []
 
     def streamed(self, action: Vector) -> tuple[str, ...]:
-        """Return the names of the action that belong to digits without a held tension."""
+        """Return the joints or digits of an action that follow targets.
+
+        The other digits hold a tension.
+        """
         moves = self._tensions(action) <= 0.0
         return tuple(name for name, d in zip(self.names, self._digit_of, strict=True) if moves[d])
 
     def _tensions(self, action: Vector) -> Vector:
-        """Return the tension of each digit in an action (D,) [N], 0 or less for a digit that moves."""
+        """Return the tension that an action demands of each digit (D,) [N].
+
+        The tension is 0 or less for a digit that follows targets.
+        """
         tensions: Vector = np.round(action[len(self.names) :] * self._largest_N, 3)
         return tensions
 
     def judge(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward, True if the object is held or dropped, and information about the object."""
+        """Return the reward of a step, True if the object was held or dropped, and information about the object."""
         forces = np.linalg.norm(np.reshape(self._forces(), (-1, 3)), axis=1)
         pressing = float(np.minimum(forces / FULL_REWARD_FORCE_N, 1.0).mean())
         reward = pressing - self._pressing

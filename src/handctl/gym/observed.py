@@ -1,4 +1,4 @@
-"""Observation vector of an environment: named telemetry values within fixed bounds."""
+"""Observation vector of an environment: named values within fixed bounds, most of them from the telemetry."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -12,18 +12,18 @@ from handctl.hand.description import Hand
 from handctl.runtime.observations import PUBLISHED_NAMES
 
 Numbers = NDArray[np.float32]
-"""Type of an observation or action."""
+"""Type of an observation, and of an action."""
 FIELD_OF_NAME = {name: field for field, name in PUBLISHED_NAMES.items()}
-"""Telemetry field for each name in an observation."""
+"""Telemetry field that belongs to each name of an observation's part."""
 
 
 class ObservationPart(NamedTuple):
-    """Values of an observation with the same meaning.
+    """Part of an observation: the values that have the same meaning.
 
     Attributes:
-        name: name with the unit, as in ``handctl.client.Observation``.
-        axis: names of the values, e.g. of the joints.
-        low, high: bounds of every value.
+        name: name of the part with the unit, as in ``handctl.client.Observation``.
+        axis: names to which the values belong, e.g. those of the joints.
+        low, high: bounds of every value of the part.
     """
 
     name: str
@@ -36,13 +36,13 @@ class ObservationLayout:
     """Names, units and bounds of an observation vector.
 
     Attributes:
-        parts: parts in order.
-        names: name of every value with its unit, e.g. ``q_rad[index_j1]``.
-        space: bounds of the vector. Values beyond a bound are clipped.
+        parts: parts of the vector, in order.
+        names: name of every value of the vector with the unit, e.g. ``q_rad[index_j1]``.
+        space: bounds of the values. A value beyond a bound is clipped.
     """
 
     def __init__(self, parts: Sequence[ObservationPart]) -> None:
-        """Arrange the parts one after the other."""
+        """Arrange the parts one after the other in the vector."""
         self.parts = tuple(parts)
         self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.axis])
         sizes = [len(part.axis) for part in parts]
@@ -54,7 +54,8 @@ class ObservationLayout:
         """Return the observation as a vector.
 
         Args:
-            values: function that returns the values of a part by its name. NaN (unknown) becomes 0.
+            values: function that returns the values of a part for the name of the part. An unknown
+                value (NaN) becomes 0.
         """
         row = np.concatenate([np.asarray(values(part.name), np.float64) for part in self.parts])
         inside = np.clip(np.nan_to_num(row, nan=0.0).astype(np.float32), self.space.low, self.space.high)
@@ -62,7 +63,7 @@ class ObservationLayout:
 
 
 def telemetry_part(hand: Hand, name: str, low: float, high: float) -> ObservationPart:
-    """Return the part of an observation for the telemetry with a name such as ``q_rad``."""
+    """Return the part of an observation with the telemetry that has a name such as ``q_rad``."""
     axis: Mapping[str, tuple[str, ...]] = {
         "joint": hand.joints,
         "tendon": hand.tendon_names,

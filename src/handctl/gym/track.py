@@ -1,4 +1,4 @@
-"""Environment ``handctl/Track-v0``: the joints of a free hand follow a random smooth reference."""
+"""Environment ``handctl/Track-v0``: the joints of a hand without an object shall follow a random smooth reference."""
 
 import math
 from collections.abc import Mapping
@@ -13,22 +13,22 @@ from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
 from handctl.gym.observed import ObservationPart
 
 HALF_REWARD_ERROR_DEG = 5.0
-"""Tracking error at which the reward is half the largest reward [deg]."""
+"""Tracking error at which the reward of a step is half the largest reward [deg]."""
 ANGLE_RANGE = (0.15, 0.55)
-"""Lowest and highest reference angle, as fractions of the range."""
+"""Default for the lowest and the highest reference angle, as fractions of the range of a joint or digit."""
 PERIODS_S = (1.5, 4.0)
-"""Range for the periods of the two sines in the reference [s]."""
+"""Shortest and longest period of the two sines in the reference [s]."""
 MAX_REFERENCE_RATE_DEG_S = 45.0
-"""Largest rate of change of the reference after the start [deg/s]."""
+"""Largest rate of change of the reference, except in the first second [deg/s]."""
 BLEND_S = 1.0
-"""Time in which the reference changes from the initial posture to the sines [s]."""
+"""Time at the start of an episode in which the reference changes from the initial posture to the sines [s]."""
 
 
 class TrackEnv(HandEnv):
-    """Environment with a reference to follow: two sines per joint or digit, with random periods and phases.
+    """Environment in which each joint or digit follows a reference: two sines with random periods and phases.
 
-    The reward of a step is 1 / (1 + (e / 5 deg)^2) with the RMS e of the true error over all joints
-    or digits. An episode ends early only after a fault.
+    The reward of a step is 1 / (1 + (e / 5 deg)^2). Here e is the RMS of the true tracking errors
+    of all joints or digits. Only a fault ends an episode early.
     """
 
     def __init__(
@@ -40,15 +40,15 @@ class TrackEnv(HandEnv):
         speed_deg_s: float = SPEED_DEG_S,
         span: tuple[float, float] = ANGLE_RANGE,
     ) -> None:
-        """Create the environment. See ``HandEnv``.
+        """Create the environment. ``HandEnv`` explains the common arguments.
 
         Args:
-            hand, space, duration_s, perturb, speed_deg_s: see ``HandEnv``.
-            span: lowest and highest reference, as fractions of the range of each joint or digit.
-                Digits that touch each other within their range need a smaller span.
+            hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
+            span: lowest and highest reference, as fractions of the range of each joint or digit. If
+                digits touch each other within their ranges, the span must be smaller.
 
         Raises:
-            ConfigError: see ``HandEnv``, or the span is empty.
+            ConfigError: as for ``HandEnv``, or the span is empty or outside 0 to 1.
         """
         if not 0.0 <= span[0] < span[1] <= 1.0:
             raise ConfigError(f"{span}", "span", "two ascending numbers from 0 to 1")
@@ -56,7 +56,7 @@ class TrackEnv(HandEnv):
         super().__init__(hand, space, duration_s, perturb, speed_deg_s)
 
     def parts(self) -> list[ObservationPart]:
-        """Return the parts of an observation: angles and rates, tensions, references now and after the horizon."""
+        """Return the parts of an observation: joint angles and rates, tensions, present and later references."""
         return [
             *self.body_parts(),
             ObservationPart("reference_rad", self.names, -math.pi, math.pi),
@@ -64,7 +64,7 @@ class TrackEnv(HandEnv):
         ]
 
     def begin(self) -> None:
-        """Choose the random reference of the episode."""
+        """Begin an episode: choose a random reference."""
         low, high = self._limits_deg()
         shape = (2, len(low))
         period = self.np_random.uniform(*PERIODS_S, shape)
@@ -76,7 +76,7 @@ class TrackEnv(HandEnv):
         self._start = self._coordinates_of(self.out.telemetry.q)
 
     def reference_deg(self, t_s: float) -> Vector:
-        """Return the reference of each joint or digit (V,) at a time of the episode [deg]."""
+        """Return the reference of each joint or digit (V,) at a time since the start of the episode [deg]."""
         course = self._middle + (self._swing * np.sin(self._rate * t_s + self._phase)).sum(axis=0)
         s = min(t_s / BLEND_S, 1.0)
         blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
@@ -84,33 +84,36 @@ class TrackEnv(HandEnv):
         return angles if self._space == "digit" else self._joints_of(angles)
 
     def extra_values(self, name: str) -> Any:
-        """Return the reference at present, or after the horizon [rad]."""
+        """Return the reference at present or after the horizon, according to the name of the part [rad]."""
         ahead = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return np.radians(self.reference_deg(self.t_s + ahead))
 
     def judge(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward from the true tracking error, and the error itself."""
+        """Return the reward of a step for its true tracking error, False, and the error as information."""
         error = np.degrees(self.values_of(self.true_q)) - self.reference_deg(self.t_s)
         rms = float(np.sqrt(np.mean(error**2)))
         return 1.0 / (1.0 + (rms / HALF_REWARD_ERROR_DEG) ** 2), False, {"error_deg": rms}
 
     def _limits_deg(self) -> tuple[Vector, Vector]:
-        """Return the range of each reference value [deg], for digits or for the coordinates of joints."""
+        """Return the lowest and the highest value of each reference [deg].
+
+        The references are digits, or coordinates of joints.
+        """
         if self._space == "digit":
             return self.low_deg, self.high_deg
         low, high = np.degrees(self.model.reach)
         return low, high
 
     def _coordinates_of(self, q: Vector) -> Vector:
-        """Return the reference values that correspond to joint angles, in the same unit."""
+        """Return the values of the references that correspond to joint angles (J,), in the unit of these angles."""
         if self._space == "digit":
             return self.values_of(q)
         return np.concatenate([digit.joints_to_coordinates @ q[digit.joints] for digit in self.model.digits])
 
     def _joints_of(self, coordinates: Vector) -> Vector:
-        """Return the joint angles that correspond to coordinates, in the same unit.
+        """Return the joint angles (J,) that correspond to coordinates, in the unit of the coordinates.
 
-        Coupled joints turn together.
+        Joints that one coordinate couples turn together.
         """
         rows = zip(self.model.digits, self.model.digit_coordinates, strict=True)
         return np.concatenate([digit.coupling @ coordinates[places] for digit, places in rows])

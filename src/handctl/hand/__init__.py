@@ -1,4 +1,4 @@
-"""Model of a hand: description, kinematics, dynamics, tendons, and export as URDF and MJCF.
+"""Model of a robot hand: description, kinematics, dynamics, tendons, and export as URDF and MJCF.
 
-The functions have no side effects, except that some read hand files.
+Some functions read hand files. No function has other side effects.
 """

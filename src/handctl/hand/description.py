@@ -1,4 +1,4 @@
-"""Description of a hand: one TOML file, validated and frozen, with quantities derived from it."""
+"""Description of a hand: the validated content of its TOML file, frozen, with quantities derived from the content."""
 
 import hashlib
 import json
@@ -27,23 +27,35 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.hand.moment_arms import is_varying, mean_arm, polynomial_of
 
 MESH_KEYS = ("link_mesh", "link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
-"""Keys of a digit for the meshes of its links. They have no effect on ``identity``."""
-PALM_MESH_KEYS = ("palm_mesh", "palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
-"""Keys of the section ``mount`` for the mesh of the palm. They have no effect on ``identity``."""
-LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on", *MESH_KEYS)
-"""Keys of a digit that a later version added. ``content`` has them only if the file has them."""
-LATER_TENDON_KEYS = ("pretension_N",)
-"""Keys of a tendon that a later version added. ``content`` has them only if the file has them."""
-CONTROL_KEYS = ("control", "kp_N_m_per_rad", "kd_N_m_s_per_rad")
-"""Keys of a motor that a later version added.
+"""Keys of a digit that describe the meshes of its links.
 
-``content`` has them only if the file has them. They have no effect on ``identity``.
+They have no effect on ``Hand.identity``.
+"""
+PALM_MESH_KEYS = ("palm_mesh", "palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
+"""Keys of the section ``mount`` that describe the mesh of the palm.
+
+They have no effect on ``Hand.identity``.
+"""
+LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on", *MESH_KEYS)
+"""Keys of a digit that a later version of handctl added.
+
+``Hand.content`` has only those that the file has.
+"""
+LATER_TENDON_KEYS = ("pretension_N",)
+"""Keys of a tendon that a later version of handctl added.
+
+``Hand.content`` has only those that the file has.
+"""
+CONTROL_KEYS = ("control", "kp_N_m_per_rad", "kd_N_m_s_per_rad")
+"""Keys of a motor that a later version of handctl added.
+
+``Hand.content`` has only those that the file has. They have no effect on ``Hand.identity``.
 """
 NO_SENSORS: dict[str, Any] = {
     "sync_id": 0x080, "base_id": 0x1A0, "tendons": (), "joints": (), "joint_decimation": 1,
     "tension_noise_N": 0.5, "tension_bias_drift_N": 0.0, "joint_noise_rad": 1e-3,
 }  # fmt: skip
-"""Sensor node of a hand without sensors. Its identifiers and noise have no effect, because it has no channels."""
+"""Sensor node of a hand without sensors. Identifiers and noise have no effect without channels."""
 
 
 class Hand(Section):
@@ -76,13 +88,13 @@ class Hand(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_sensors(cls, given: Any) -> Any:
-        """Add a sensor node without channels to a hand without sensors."""
+        """Add a sensor node without channels to the content of a hand file without a section ``sensor_node``."""
         if not isinstance(given, dict) or "sensor_node" in given:
             return given
         buses = given.get("bus")
         if not isinstance(buses, list | tuple) or not buses or not isinstance(buses[0], dict) or "name" not in buses[0]:
-            # The missing buses are reported as a mistake of their own. Any name avoids a second
-            # report here.
+            # pydantic reports missing buses as a separate mistake. With any name of a bus, the
+            # sensor node causes no second report.
             return given | {"sensor_node": NO_SENSORS | {"bus": "main"}}
         return given | {"sensor_node": NO_SENSORS | {"bus": buses[0]["name"]}}
 
@@ -98,7 +110,10 @@ class Hand(Section):
 
     @cached_property
     def pretension(self) -> NDArray[np.float64]:
-        """Return the pretension of each spool pair, 0 for a single tendon, (N,) [N]."""
+        """Return the pretension of each tendon, (N,) [N].
+
+        It is 0 for a tendon that is not a spool pair.
+        """
         return np.array([tendon.pretension_N or 0.0 for tendon in self.tendon])
 
     @cached_property
@@ -130,7 +145,7 @@ class Hand(Section):
     def moment_arms(self) -> NDArray[np.float64]:
         """Return the moment arms R, (N, J) [m], read-only. Excursion is R q, joint torque R^T f.
 
-        An arm that depends on the angle is replaced by its mean over the joint's range.
+        If a moment arm depends on the joint angle, R has its mean over the range of the joint.
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
@@ -154,8 +169,9 @@ class Hand(Section):
     def carrier_arms(self) -> NDArray[np.float64]:
         """Return the moment arms of each tendon about joints that carry its digit, (N, J) [m], read-only.
 
-        The tendons of a finger pass the wrist. A tendon that does not pass through the wrist's axis
-        turns the wrist, and is wound by its motion.
+        For example, the tendons of a finger pass the wrist. If such a tendon does not run through
+        the axis of the wrist, its tension turns the wrist, and a motion of the wrist winds or
+        unwinds the tendon.
         """
         arms = self.moment_arms - self.own_arms
         arms.setflags(write=False)
@@ -163,7 +179,7 @@ class Hand(Section):
 
     @cached_property
     def arm_polynomials(self) -> NDArray[np.float64]:
-        """Return the moment arms as polynomials, (N, J, quantities.COEFFICIENTS), read-only."""
+        """Return the moment arms as polynomials of the joint angle, (N, J, quantities.COEFFICIENTS), read-only."""
         rows = [[polynomial_of(tendon.moment_arm_m.get(joint, 0.0)) for joint in self.joints] for tendon in self.tendon]
         polynomials = np.array(rows)
         polynomials.setflags(write=False)
@@ -182,18 +198,21 @@ class Hand(Section):
 
     @cached_property
     def covered(self) -> NDArray[np.bool_]:
-        """Return True for each tendon whose joints all have encoders, (N,)."""
+        """Return True for each tendon if all joints that it crosses in its own digit have encoders, (N,)."""
         measured = np.array([joint in self.sensor_node.joints for joint in self.joints])
         return np.asarray(~((self.own_arms != 0.0) & ~measured).any(axis=1))
 
     @cached_property
     def digit_joints(self) -> dict[str, slice]:
-        """Return the slice of each digit in ``joints``."""
+        """Return the slice of ``joints`` that contains the joints of each digit."""
         return dict(zip(self.digit_names, _slices([len(digit.joints) for digit in self.digit]), strict=True))
 
     @cached_property
     def base_joints(self) -> dict[str, int]:
-        """Return the joint whose link carries each digit, as an index in ``joints``, -1 for the palm."""
+        """Return the joint whose link carries each digit, as an index in ``joints``.
+
+        The palm has the index -1.
+        """
         return {
             digit.name: -1 if digit.mount_on is None else self.digit_joints[digit.mount_on].stop - 1
             for digit in self.digit
@@ -205,9 +224,9 @@ class Hand(Section):
         return frozenset(digit.mount_on for digit in self.digit if digit.mount_on is not None)
 
     def carriers_of(self, digit: str) -> tuple[str, ...]:
-        """Return the names of the digits that carry a digit, the nearest first."""
+        """Return the names of the digits that carry a digit, beginning with the one directly before it."""
         carrier = self.digit_named(digit).mount_on
-        # A file in which digits carry each other in a circle is refused later than this call.
+        # Digits may still carry each other in a circle here. Later checks refuse such a file.
         found: list[str] = []
         while carrier in self.digit_names and carrier not in found:
             found.append(carrier)
@@ -215,9 +234,9 @@ class Hand(Section):
         return tuple(found)
 
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
-        """Return the digit that a tendon moves: all other digits that the tendon crosses carry this digit.
+        """Return the name of the digit that a tendon moves. The other digits that the tendon crosses carry this digit.
 
-        The result is None if there is no such digit.
+        If no crossed digit is carried by all others, return None.
         """
         crossed = [digit.name for digit in self.digit if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
         outermost = [name for name in crossed if {name, *self.carriers_of(name)} >= set(crossed)]
@@ -231,14 +250,14 @@ class Hand(Section):
 
     @cached_property
     def digit_tendons(self) -> dict[str, slice]:
-        """Return the slice of each digit in ``tendon``."""
+        """Return the slice of ``tendon`` that contains the tendons of each digit."""
         moved = [self.digit_of_tendon(tendon) for tendon in self.tendon]
         counts = [moved.count(digit.name) for digit in self.digit]
         return dict(zip(self.digit_names, _slices(counts), strict=True))
 
     @cached_property
     def motor_index(self) -> tuple[int, ...]:
-        """Return the motor index of each tendon."""
+        """Return the index in ``motor`` of the motor of each tendon."""
         return tuple(self.motor_names.index(tendon.motor) for tendon in self.tendon)
 
     def motor_of(self, tendon: str) -> Motor:
@@ -251,44 +270,47 @@ class Hand(Section):
 
     @cached_property
     def content(self) -> dict[str, Any]:
-        """Return the resolved content as plain values, with defaults, and with the keys of the file."""
+        """Return the content of the file as plain values, by the keys of the file, with defaults filled in."""
         content = self.model_dump(by_alias=True, mode="python")
         later = {"digit": LATER_KEYS, "tendon": LATER_TENDON_KEYS, "motor": CONTROL_KEYS}
         for kind, keys in later.items():
             for section in content[kind]:
                 for key in keys:
-                    if section[key] is None:  # so that hands without the key keep their identity
+                    if section[key] is None:  # a hand file without the key keeps its identity
                         del section[key]
         content["mount"] = {key: value for key, value in content["mount"].items() if value is not None}
-        # A sensor node has only the keys of its protocol, so that files of versions without
-        # protocols keep their identity.
+        # The content of a sensor node has only the keys of its protocol. Thus a file from before
+        # sensor protocols existed keeps its identity.
         for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):
             del content["sensor_node"][key]
         return content
 
     def to_toml(self) -> str:
-        """Return the resolved content as TOML text, for the log. ``load_hand`` reads an equal hand from it."""
+        """Return the content of the file as TOML text, for the log.
+
+        ``load_hand`` reads an equal hand from this text.
+        """
         return toml_text(self.content)
 
     @cached_property
     def identity(self) -> str:
-        """Return SHA-256 of the resolved content in hexadecimal.
+        """Return the SHA-256 hash of the content that calibration and gains depend on, in hexadecimal.
 
-        Comments, spelling of numbers, and order of keys in the file have no effect. The limits of
-        streams, the meshes, and the choice of the position loop have no effect either, because no
-        calibration and no gains depend on them.
+        Comments, spelling of numbers, and order of keys in the file have no effect on the hash. The
+        limits of streams, the meshes, and the keys of a drive's position loop are left out, because
+        no calibration and no gains depend on them.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
         content["digit"] = [_without(digit, MESH_KEYS) for digit in content["digit"]]
         content["motor"] = [_without(motor, CONTROL_KEYS) for motor in content["motor"]]
         content["mount"] = _without(content["mount"], PALM_MESH_KEYS)
-        # With sorted keys and fixed separators equal content has equal bytes.
+        # With sorted keys and fixed separators, equal content becomes an equal text.
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def _without(table: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
-    """Return a table without some keys."""
+    """Return a table without the given keys."""
     return {key: value for key, value in table.items() if key not in keys}
 
 

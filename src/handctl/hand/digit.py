@@ -1,4 +1,4 @@
-"""Model of one digit: all numbers of kinematics, dynamics and statics, built from the description."""
+"""Model of one digit: all numbers for its kinematics, dynamics and statics, built from the description of the hand."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,27 +15,32 @@ from handctl.hand.moment_arms import arms_at, excursions_at
 
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array
-"""A sequence with one number per joint. Lists and tuples are the fastest."""
+"""A sequence with one number per joint. Calculations are fastest with lists and tuples."""
 SIDEWAYS_ANGLE_DEG = 45.0
-"""Angle between the axes of a joint and of the last joint above which the joint moves the digit sideways [deg]."""
+"""Angle between the axis of a joint and that of the last joint, above which the joint moves sideways [deg]."""
 NEWTON_STEPS = 20
-"""Largest number of Newton steps from an excursion to joint angles. About five are usual."""
+"""Largest number of Newton steps from an excursion to joint angles. About five steps are usual."""
 NEWTON_TOLERANCE_RAD = 1e-10
-"""Newton step below which the iteration ends [rad]."""
+"""Largest Newton step that ends the iteration [rad]."""
 SIDEWAYS_RANGE_RATIO = 0.5
-"""Ratio of opening to closing range from which a coordinate counts as sideways motion, if all axes are parallel."""
+"""Opening range of a coordinate divided by its closing range.
+
+In a digit with parallel axes, a coordinate whose ratio exceeds this value moves the digit sideways.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitModel:
-    """Digit with n joints, n_t tendons, and n_c reduced coordinates theta (q = B theta). Arrays are read-only.
+    """Digit with n joints, n_t tendons, and n_c reduced coordinates theta.
+
+    Joint angles are q = B theta. Arrays are read-only.
 
     Attributes:
         name: name of the digit.
         joint_names: names of the joints, in order.
         tendon_names: names of the tendons, in order.
-        joints: slice of the digit in the hand's joints.
-        tendons: slice of the digit in the hand's tendons.
+        joints: slice of the hand's joints that contains those of the digit.
+        tendons: slice of the hand's tendons that contains those of the digit.
         lengths: (n,) length of each link [m].
         coms: (n, 3) centre of mass of each link in its frame [m].
         masses: (n,) mass of each link [kg].
@@ -46,27 +51,29 @@ class DigitModel:
         joint_min: (n,) smallest joint angles [rad].
         joint_max: (n,) largest joint angles [rad].
         joint_damping: (n,) viscous damping of each joint [N m s/rad].
-        armature: (n,) inertia of the joint alone [kg m2].
+        armature: (n,) inertia of each joint itself, without its link [kg m2].
         spring_stiffness: (n,) stiffness of each return spring [N m/rad].
         spring_preload: (n,) preload of each return spring [rad].
         mount_rotation: (3, 3) rotation from the digit's frame to the palm frame.
         mount_position: (3,) position of the first joint in the palm frame [m].
-        gravity: (3,) in the palm frame [m/s2]. For a digit on another digit, the palm frame is that
-            of the link that carries the digit.
-        table: (rigid_body.ROWS, n) frames and bodies of the links.
-        parent: (n,) column of the link before each link, -1 for the palm.
-        moment_arms: R, (n_t, n) [m]. An arm that depends on the angle is replaced by its mean, see
-            ``at``.
-        coupling: B, (n, n_c), the identity for independent joints.
+        gravity: (3,) gravitational acceleration in the palm frame [m/s2]. If another digit carries
+            this digit, the frame of the carrying link takes the place of the palm frame.
+        table: (rigid_body.ROWS, n) frames and inertial properties of the links, for ``rigid_body``.
+        parent: (n,) column in ``table`` of the link before each link, -1 for the palm.
+        moment_arms: R, (n_t, n) [m]. If an arm depends on the joint angle, R has its mean. ``at``
+            returns a digit with the arms at given angles.
+        coupling: B, (n, n_c), the identity matrix for independent joints.
         reduced_moment_arms: R B, (n_t, n_c) [m].
-        excursion_to_joints: B (R B)^+, (n, n_t) [rad/m], joint angles of an excursion.
-        torque_to_tension: (R B)^+^T B^T, (n_t, n) [1/m], smallest tensions of a torque.
-        joints_to_coordinates: B^+, (n_c, n).
-        friction: (n_t,) friction coefficient of the pulleys.
-        wrap: (n_t,) wrap angle before the first joint pulley [rad].
-        motor_mass: (n_t,) rotor inertia as a mass at the tendon, J_m / r_a^2 [kg].
-        arm_polynomials: (n_t, n, quantities.COEFFICIENTS) moment arms by joint angle.
-        has_varying_arm: True if a moment arm depends on the joint angle.
+        excursion_to_joints: B (R B)^+, (n, n_t) [rad/m], from tendon excursion to joint angles.
+        torque_to_tension: (R B)^+^T B^T, (n_t, n) [1/m], from joint torque to the tensions of
+            smallest norm.
+        joints_to_coordinates: B^+, (n_c, n), from joint angles to reduced coordinates.
+        friction: (n_t,) friction coefficient of the pulleys of each tendon.
+        wrap: (n_t,) wrap angle of each tendon before its first joint pulley [rad].
+        motor_mass: (n_t,) rotor inertia as a mass that moves with the tendon, J_m / r_a^2 [kg].
+        arm_polynomials: (n_t, n, quantities.COEFFICIENTS) moment arms as polynomials of the joint
+            angle.
+        has_varying_arm: True if at least one moment arm depends on the joint angle.
     """
 
     name: str
@@ -105,32 +112,32 @@ class DigitModel:
 
     @property
     def reach(self) -> tuple[Array, Array]:
-        """Return the smallest and the largest coordinates (n_c,) within the joint limits [rad]."""
-        # A negative entry of B^+ swaps the limits, so take the smaller and the larger product per
-        # entry.
+        """Return the smallest and the largest reduced coordinates (n_c,) within the joint limits [rad]."""
+        # A negative entry of B^+ swaps the lower and the upper limit. Therefore compare the two
+        # products of each entry.
         low = self.joints_to_coordinates * self.joint_min
         high = self.joints_to_coordinates * self.joint_max
         return np.minimum(low, high).sum(axis=1), np.maximum(low, high).sum(axis=1)
 
     @property
     def sideways(self) -> NDArray[np.bool_]:
-        """Return True for each coordinate that moves the digit sideways, (n_c,), such as abduction.
+        """Return True for each coordinate that moves the digit sideways, such as abduction, (n_c,).
 
-        A joint with an axis far from that of the last joint moves the links sideways. In a digit
-        with parallel axes, a coordinate moves sideways if it opens at least half as far as it
-        closes.
+        A joint moves the links sideways if its axis differs much from the axis of the last joint.
+        In a digit with parallel axes, a coordinate moves sideways if its range of opening is more
+        than half of its range of closing.
         """
         turned = np.eye(3)
         axes = []
         for i in range(self.joint_count):
-            # Two of the three matrices of Rodrigues' formula sum up to the rotation of a link at
-            # angle zero.
+            # At joint angle zero, the rotation of a link is the sum of two of the three matrices of
+            # Rodrigues' formula.
             step = self.table[body.FIXED : body.FIXED + 9, i] + self.table[body.COSINE : body.COSINE + 9, i]
             turned = turned @ step.reshape(3, 3)
             axes.append(turned @ self.axes[i])
         away = np.abs(np.array(axes) @ axes[-1]) < math.cos(math.radians(SIDEWAYS_ANGLE_DEG))
         if away.any():
-            # A coordinate that moves any other joint flexes the digit.
+            # A coordinate flexes the digit if it moves at least one joint without sideways motion.
             return np.asarray(~(self.coupling[~away] != 0.0).any(axis=0))
         low, high = self.reach
         return np.asarray(-low > SIDEWAYS_RANGE_RATIO * high)
@@ -145,8 +152,8 @@ class DigitModel:
         links = range(len(digit.joints))
         arms = hand.moment_arms[:, joints][tendons]
         coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
-        # The pseudo-inverse gives angles by least squares. Its transpose gives the tensions of
-        # least norm.
+        # The pseudo-inverse of R B turns an excursion into coordinates by least squares. Its
+        # transpose turns a torque into the tensions of least norm.
         to_coordinates = np.linalg.pinv(arms @ coupling)
         return DigitModel(
             name=name,
@@ -195,19 +202,22 @@ class DigitModel:
         return np.stack((self.joint_min, self.joint_max))
 
     def arms_at(self, q: ArrayLike) -> Array:
-        """Return the moment arms R at joint angles (..., n) [rad], (..., n_t, n) [m]."""
+        """Return the moment arms R, (..., n_t, n) [m], at joint angles (..., n) [rad]."""
         if not self.has_varying_arm:
             return self.moment_arms
         return arms_at(self.arm_polynomials, self.joint_limits, q)
 
     def excursion_at(self, q: ArrayLike) -> Array:
-        """Return the excursion of each tendon at joint angles (n,) [rad], (n_t,) [m]."""
+        """Return the excursion of each tendon, (n_t,) [m], at joint angles (n,) [rad]."""
         if not self.has_varying_arm:
             return np.asarray(self.moment_arms @ np.asarray(q))
         return np.asarray(excursions_at(self.arm_polynomials, self.joint_limits, q).sum(axis=-1))
 
     def at(self, q: ArrayLike) -> "DigitModel":
-        """Return the digit with the moment arms at joint angles (n,) [rad], itself if all arms are constant."""
+        """Return a copy of the digit with its moment arms at joint angles (n,) [rad].
+
+        If all arms are constant, return the digit itself.
+        """
         if not self.has_varying_arm:
             return self
         arms = self.arms_at(q)
@@ -221,9 +231,10 @@ class DigitModel:
         )
 
     def coordinates_of(self, excursion: Array) -> Array:
-        """Return the coordinates (n_c,) of the free digit with an excursion (n_t,) [m], in least squares [rad].
+        """Return the coordinates (n_c,) [rad] that give the tendons an excursion (n_t,) [m], by least squares.
 
-        Varying arms need Gauss-Newton steps, which begin in the middle of the joints' ranges.
+        If moment arms depend on the joint angle, Gauss-Newton steps begin in the middle of the
+        ranges of the joints.
         """
         if not self.has_varying_arm:
             return np.asarray(self.joints_to_coordinates @ self.excursion_to_joints @ excursion)
@@ -242,36 +253,40 @@ class DigitModel:
         return len(self.lengths)
 
     def with_joint_angles(self, angles: Mapping[int, float], now: Values) -> Array:
-        """Return the coordinates (n_c,) nearest to ``now`` with given joint angles, in the unit of the arguments.
+        """Return the coordinates (n_c,) nearest to ``now`` that give some joints the given angles.
 
-        The result is a least-squares solution if coupled joints cannot have the angles together.
+        The unit of the result is that of the arguments.
+
+        If coupled joints cannot have all these angles at once, the result is a least-squares
+        solution.
 
         Args:
-            angles: angle by index of the joint.
+            angles: given angles, by the index of the joint.
             now: (n_c,) coordinates from which all other joints move as little as possible.
         """
         rows = self.coupling[list(angles)]
         return np.asarray(now + np.linalg.pinv(rows) @ (np.array(list(angles.values())) - rows @ np.asarray(now)))
 
     def with_gravity(self, gravity: Values) -> "DigitModel":
-        """Return a copy of the digit with another gravity, (3,) in the palm frame [m/s2]."""
+        """Return a copy of the digit with another gravitational acceleration, (3,) in the palm frame [m/s2]."""
         return replace(self, gravity=_read_only_copy(gravity))
 
 
 def coordinate_range(coupling: Array, limits: Array) -> Array:
-    """Return the range of each coordinate (2, n_c) that keeps all joints within their limits.
+    """Return the range of each reduced coordinate, (2, n_c), in which all joints stay within their limits.
 
-    All other coordinates are zero. A joint that does not depend on a coordinate does not limit it.
+    Each range holds while all other coordinates are zero. A joint that does not depend on a
+    coordinate does not limit it.
 
     Args:
-        coupling: B, (n, n_c).
+        coupling: B, (n, n_c), see ``DigitModel``.
         limits: (2, n) smallest and largest joint angles, in the unit of the result.
     """
     ranges = []
     for column in coupling.T:
         moved = column != 0.0
         each = limits[:, moved] / column[moved]
-        # A negative entry swaps the limits of its joint.
+        # A negative entry of B swaps the lower and the upper limit of its joint.
         ranges.append((each.min(axis=0).max(initial=-np.inf), each.max(axis=0).min(initial=np.inf)))
     return np.array(ranges).T
 
@@ -284,12 +299,12 @@ def link_table(digit: Digit) -> Array:
         along = np.outer(axis, axis)
         x, y, z = axis.tolist()
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        # Rodrigues' formula: a a^T + cos q (1 - a a^T) + sin q [a]x.
+        # Rodrigues' formula for a rotation by q about a: a a^T + cos q (1 - a a^T) + sin q [a]x.
         for row, part in ((body.FIXED, along), (body.COSINE, np.eye(3) - along), (body.SINE, cross)):
             table[row : row + 9, i] = (rotation @ part).ravel()
         mass = digit.link_mass_kg[i]
         com = centre_of_mass(digit, i)
-        # Steiner's theorem, from the centre of mass to the joint.
+        # Steiner's theorem moves the inertia from the centre of mass to the joint.
         moments = link_inertia(digit, i) + mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
         table[body.ORIGIN : body.ORIGIN + 3, i] = position
         table[body.AXIS : body.AXIS + 3, i] = axis
@@ -302,7 +317,10 @@ def link_table(digit: Digit) -> Array:
 
 
 def base_rotation(hand: Hand, digit: Digit) -> Array:
-    """Return the rotation (3, 3) to the palm frame of the link that carries a digit, all joints at zero."""
+    """Return the rotation (3, 3) from the frame of the link that carries a digit to the palm frame.
+
+    All joints are at zero.
+    """
     if digit.mount_on is None:
         return np.eye(3)
     carrier = hand.digit_named(digit.mount_on)
@@ -313,7 +331,7 @@ def base_rotation(hand: Hand, digit: Digit) -> Array:
 
 
 def _read_only_copy(values: ArrayLike) -> Array:
-    """Return a read-only copy."""
+    """Return a read-only copy of an array."""
     array = np.array(values, dtype=float)
     array.setflags(write=False)
     return array

@@ -1,4 +1,4 @@
-"""Equations of motion of a digit, by the compiled algorithms of ``rigid_body``.
+"""Equations of motion of a digit, calculated with the compiled algorithms of ``rigid_body``.
 
 tau = M(q) q'' + C(q, q') q' + g(q)    required = tau + K (q + preload) + D q'
 """
@@ -34,7 +34,9 @@ NO_GRAVITY = np.zeros(3)
 
 
 def inverse_dynamics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> Torque:
-    """Return the joint torque of inertia and weight, M q'' + C q' + g, without springs and damping.
+    """Return the joint torque that a motion needs against inertia and weight: M q'' + C q' + g.
+
+    Springs and damping are left out.
 
     Args:
         digit: model of the digit.
@@ -49,7 +51,10 @@ def inverse_dynamics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> T
 
 
 def required_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> Torque:
-    """Return the joint torque of tendons for a motion: inverse dynamics, springs, damping, (n,) [N m]."""
+    """Return the joint torque that the tendons must make for a motion, (n,) [N m].
+
+    It is the sum of inverse dynamics, spring torque and damping torque.
+    """
     rigid = _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
     passive = zip(digit.spring_stiffness, digit.spring_preload, digit.joint_damping, strict=True)
     return tuple(
@@ -63,7 +68,7 @@ def required_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> To
 
 
 def bias_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
-    """Return the Coriolis and centrifugal torque C q', (n,) [N m]."""
+    """Return the Coriolis and centrifugal joint torque C q', (n,) [N m]."""
     return _rigid_body_torque(digit, NO_GRAVITY, q, dq, np.zeros(digit.joint_count))
 
 
@@ -83,47 +88,48 @@ def spring_torque(digit: DigitModel, q: Values) -> Torque:
 
 
 def damping_torque(digit: DigitModel, dq: Values) -> Torque:
-    """Return the joint torque that balances viscous damping, (n,) [N m]."""
+    """Return the joint torque that balances the viscous damping of the joints, (n,) [N m]."""
     return tuple(damping * rate for damping, rate in zip(digit.joint_damping, _as_plain_floats(dq), strict=True))
 
 
 def passive_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
-    """Return the joint torque that balances springs and damping, (n,) [N m]."""
+    """Return the joint torque that balances return springs and viscous damping, (n,) [N m]."""
     return tuple(a + b for a, b in zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True))
 
 
 def static_torque(digit: DigitModel, q: Values) -> Torque:
-    """Return the joint torque that holds the digit at rest: gravity and springs, (n,) [N m]."""
+    """Return the joint torque that holds the digit at rest against weight and return springs, (n,) [N m]."""
     return tuple(a + b for a, b in zip(gravity_torque(digit, q), spring_torque(digit, q), strict=True))
 
 
 def mass_matrix(digit: DigitModel, q: Values) -> Array:
-    """Return M in joint angles with armature, (n, n) [kg m2]."""
+    """Return the mass matrix M for joint angles, with the armature of the joints, (n, n) [kg m2]."""
     return rigid_body.inertia_matrix(digit.table, digit.parent, _as_array(q))
 
 
 def forward_dynamics(digit: DigitModel, q: Values, dq: Values, tau: Values) -> Array:
-    """Return the joint accelerations that a joint torque makes against inertia and weight, (n,) [rad/s2].
+    """Return the joint accelerations that a joint torque causes against inertia and weight, (n,) [rad/s2].
 
     Args:
         digit: model of the digit.
         q: joint angles (n,) [rad].
         dq: joint rates (n,) [rad/s].
-        tau: torque of tendons and contact, less ``passive_torque`` (n,) [N m].
+        tau: (n,) joint torque of tendons and contact, minus ``passive_torque`` [N m].
     """
     standing = inverse_dynamics(digit, q, dq, (0.0,) * digit.joint_count)
     return np.asarray(np.linalg.solve(mass_matrix(digit, q), np.subtract(tau, standing)))
 
 
 def reduced_dynamics(digit: DigitModel, theta: Values, dtheta: Values) -> tuple[Array, Array]:
-    """Return M_r = B^T M B and h_r = B^T (C q' + g + springs + damping).
+    """Return mass matrix and bias of the equations of motion in reduced coordinates.
 
-    Torque in reduced coordinates is M_r theta'' + h_r.
+    M_r = B^T M B and h_r = B^T (C q' + g + springs + damping). The torque in reduced coordinates is
+    M_r theta'' + h_r.
 
     Args:
         digit: model of the digit.
         theta: reduced coordinates (n_c,) [rad].
-        dtheta: rates (n_c,) [rad/s].
+        dtheta: rates of the reduced coordinates (n_c,) [rad/s].
 
     Returns:
         M_r (n_c, n_c) [kg m2] and h_r (n_c,) [N m].
@@ -144,7 +150,7 @@ def kinetic_energy(digit: DigitModel, q: Values, dq: Values) -> float:
 def potential_energy(digit: DigitModel, q: Values) -> float:
     """Return the potential energy of the links' weight [J].
 
-    Zero is the energy of all mass at the digit's mount.
+    The energy is zero if all mass is at the mount of the digit.
     """
     first = rigid_body.link_poses(digit.table, digit.parent, _as_array(q))[0]
     moment = first[rigid_body.CARRIED_MOMENT : rigid_body.CARRIED_MOMENT + 3]
@@ -158,7 +164,7 @@ def spring_energy(digit: DigitModel, q: Values) -> float:
 
 
 def _rigid_body_torque(digit: DigitModel, gravity: Array, q: Values, dq: Values, ddq: Values) -> Torque:
-    """Return the joint torque of inertia and weight under a gravity, (n,) [N m]."""
+    """Return the joint torque of inertia and weight under the given gravity, (n,) [N m]."""
     torque = rigid_body.rigid_body_torques(
         digit.table, digit.parent, gravity, _as_array(q), _as_array(dq), _as_array(ddq)
     )
@@ -166,10 +172,13 @@ def _rigid_body_torque(digit: DigitModel, gravity: Array, q: Values, dq: Values,
 
 
 def _as_array(values: Values) -> Array:
-    """Return the values as an array for compiled code."""
+    """Return the values as a numpy array, as compiled code needs."""
     return np.asarray(values, dtype=np.float64)
 
 
 def _as_plain_floats(values: Values) -> Sequence[float]:
-    """Return the values as Python floats, which are several times faster than numpy's scalars."""
+    """Return the values as Python floats.
+
+    Python calculates several times faster with them than with numpy's scalars.
+    """
     return values.tolist() if isinstance(values, np.ndarray) else values

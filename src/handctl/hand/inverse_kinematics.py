@@ -1,4 +1,4 @@
-"""Inverse kinematics: joint angles for a tip position."""
+"""Inverse kinematics: joint angles of a digit for a position of its tip."""
 
 import math
 from typing import NamedTuple
@@ -12,17 +12,20 @@ from handctl.hand.kinematics import joint_points, tip_jacobian
 SCAN_POINTS = 64
 """Number of intervals in the scan for the point of a coupled digit's path that is closest to a target."""
 REACH_TOLERANCE = 1e-12
-"""Relative amount by which the squared distance may exceed the reach, for rounding."""
+"""Tolerance for rounding errors in the comparison of a squared distance with the squared reach, relative."""
 MAX_STEPS = 60
 """Largest number of steps in the search for the closest tip position."""
 MIN_STEP_RAD = 1e-10
-"""Step of a coordinate at which the search ends [rad]."""
+"""Largest change of a coordinate in a step that ends the search [rad]."""
 START_WEIGHT_M_PER_RAD = 1e-5
-"""Weight of the distance to the start [m/rad]. It selects the nearest of all postures with an equal tip position."""
+"""Weight of the distance from the start coordinates [m/rad].
+
+Of all postures with the same tip position, it selects the one nearest to the start.
+"""
 DAMPING_RANGE = (1e-8, 1e8)
 """Smallest and largest damping of a Levenberg-Marquardt step, relative to the largest curvature."""
 START_FRACTIONS = (0.5, 0.15, 0.85)
-"""Start coordinates of a search without a known posture, as fractions of their ranges."""
+"""Start coordinates of a search without a given posture, as fractions of the coordinates' ranges."""
 
 
 class ClosestTip(NamedTuple):
@@ -40,25 +43,25 @@ class ClosestTip(NamedTuple):
 def inverse_kinematics(
     digit: DigitModel, x: float, y: float, angle: float | None = None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return joint angles that put the tip of a digit of two or three independent joints at a point.
+    """Return joint angles of a digit of two or three independent joints that put its tip at a point.
 
-    The hinges are parallel, so the tip moves in the plane of x and y of the digit's frame. The
-    solution is closed form. Joint limits are not applied.
+    The hinges must be parallel. Then the tip moves in the plane of x and y of the digit's frame,
+    and the solution has a closed form. Joint limits are not applied.
 
     Args:
         digit: model of the digit.
-        x: position [m].
-        y: position [m].
+        x: position of the point along x of the digit's frame [m].
+        y: position of the point along y of the digit's frame [m].
         angle: direction of the last link [rad], required for three joints, ignored for two.
 
     Returns:
         the solutions within one turn, first the one with positive flexion of the second joint.
-        Empty out of reach, and for two equal links folded onto the base, where the direction is
-        free.
+        There are none if the point is out of reach, or if two equal links fold onto the base, where
+        their direction is free.
 
     Raises:
-        ValueError: not two or three joints, hinges that are not parallel, or three joints without a
-            direction.
+        ValueError: the digit has neither two nor three joints, its hinges are not parallel, or it
+            has three joints and no direction is given.
     """
     if not _is_planar(digit):
         raise ValueError(f"{digit.name} has hinges that are not along z; needed: parallel hinges")
@@ -72,17 +75,18 @@ def inverse_kinematics(
 
 
 def inverse_kinematics_coupled(digit: DigitModel, position: Values) -> tuple[float, float]:
-    """Return the coordinate of a coupled digit, q = B theta, with the tip closest to a point.
+    """Return the coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
 
-    The tip moves on a curve. A scan with bracketing yields all points of extreme distance. The
-    nearest of them and of the two ends of travel is the global minimum.
+    The tip moves on a curve. A scan finds all intervals that contain a minimum of the distance. The
+    closest point among these minima and the two ends of the curve is the global minimum.
 
     Args:
         digit: model of a digit with one reduced coordinate.
-        position: (3,) in the palm frame [m].
+        position: (3,) point in the palm frame [m].
 
     Returns:
-        theta [rad] within the joint limits, and the remaining distance [m].
+        theta [rad] within the joint limits, and the remaining distance from the tip to the point
+        [m].
 
     Raises:
         ValueError: the digit has several coordinates.
@@ -105,7 +109,7 @@ def inverse_kinematics_coupled(digit: DigitModel, position: Values) -> tuple[flo
     slopes = [slope(theta) for theta in grid]
     candidates = [grid[0], grid[-1]]
     for low, high, before, after in zip(grid, grid[1:], slopes, slopes[1:], strict=False):
-        # A rising zero of the slope of the distance is a minimum.
+        # The distance has a minimum where its slope changes from negative to positive.
         if before <= 0.0 <= after:
             candidates.append(brentq(slope, low, high, xtol=1e-14))
     best = min(candidates, key=distance)
@@ -119,14 +123,17 @@ def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
 
 
 def _is_planar(digit: DigitModel) -> bool:
-    """Return True if all hinges are along z of the digit's frame."""
+    """Return True if all hinges are parallel to the z axis of the digit's frame."""
     at_zero = digit.table[body.FIXED : body.COSINE] + digit.table[body.COSINE : body.SINE]
     straight = np.array([digit.mount_rotation, *[np.eye(3)] * (digit.joint_count - 1)]).reshape(-1, 9).T
     return bool(np.all(digit.axes == (0.0, 0.0, 1.0)) and np.allclose(at_zero, straight, rtol=0.0, atol=1e-12))
 
 
 def _two_link_solutions(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, float], ...]:
-    """Return both solutions of two links, one if stretched or folded, none out of reach.
+    """Return the joint angles with which two links reach a point.
+
+    There are two solutions, one if the links are stretched or folded, and none if the point is out
+    of reach.
 
     The elbow angle comes from atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1 + l2 +
     r). The products keep their accuracy near the straight arm, where acos loses half the digits.
@@ -151,16 +158,18 @@ def _wrapped_angle(angle: float) -> float:
 
 
 def closest_tip(digit: DigitModel, position: Values, start: Values | None = None) -> ClosestTip:
-    """Return coordinates within the joint limits that bring the tip of a digit closest to a point.
+    """Return the coordinates within the joint limits that bring the tip of a digit closest to a point.
 
-    Levenberg-Marquardt steps of the coordinates that are not at a limit (projected Gauss-Newton).
-    The minimum is local, so a search that starts at the previous posture of a motion leads to no
-    jump. The digit may have any number of hinges, in any direction, coupled or independent.
+    The search makes Levenberg-Marquardt steps of the coordinates that are not at a limit (projected
+    Gauss-Newton). It finds a local minimum. Therefore a search that starts at the previous posture
+    of a motion does not jump. The hinges of the digit may have any number and direction, and may be
+    coupled or independent.
 
     Args:
         digit: model of a digit that is mounted on the palm.
         position: (3,) point in the palm frame [m].
-        start: (n_c,) coordinates to begin with [rad]. None: the best of several.
+        start: (n_c,) coordinates at which the search starts [rad]. If it is None, searches start at
+            several postures, and the best result is returned.
 
     Source: Nocedal & Wright (2006), Numerical Optimization, 10.3 and 16.7.
     """
@@ -173,7 +182,7 @@ def closest_tip(digit: DigitModel, position: Values, start: Values | None = None
 
 
 def _local_minimum(digit: DigitModel, target: Array, start: Array) -> ClosestTip:
-    """Return the local minimum from a start within the limits."""
+    """Return the local minimum of the distance that a search from the start coordinates finds."""
     low, high = digit.reach
     theta = start.copy()
     gap = joint_points(digit, digit.coupling @ theta)[-1] - target

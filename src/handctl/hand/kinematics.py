@@ -1,6 +1,7 @@
 """Kinematics of a digit: positions of links and tip, and Jacobians, in the palm frame.
 
-The frame of a digit is that of its mount: x along the digit at rest, y to the side of flexion.
+The frame of a digit is that of its mount. At joint angles of zero, x points along the digit and y
+to the side of flexion.
 """
 
 from typing import NamedTuple
@@ -12,67 +13,67 @@ from handctl.hand.digit import Array, DigitModel, Values
 
 
 class TipPose(NamedTuple):
-    """Tip of a digit: position (3,) [m] and rotation (3, 3) of the last link, in the palm frame."""
+    """Pose of the tip of a digit in the palm frame: its position (3,) [m] and the rotation (3, 3) of the last link."""
 
     position: Array
     rotation: Array
 
 
 def link_poses(digit: DigitModel, q: Values) -> Array:
-    """Return the poses of all links at joint angles q (n,) [rad], (n, rigid_body.POSE)."""
+    """Return the poses of all links of a digit, (n, rigid_body.POSE), at joint angles q (n,) [rad]."""
     return rigid_body.link_poses(digit.table, digit.parent, np.asarray(q, dtype=np.float64))
 
 
 def link_rotations(poses: Array) -> Array:
-    """Return the rotations of links to the palm frame, (n, 3, 3)."""
+    """Return the rotations from the frames of the links to the palm frame, (n, 3, 3)."""
     return poses[:, rigid_body.ROTATION : rigid_body.ROTATION + 9].reshape(-1, 3, 3)
 
 
 def joint_positions(poses: Array) -> Array:
-    """Return the positions of the links' joints, (n, 3) [m]."""
+    """Return the positions of the links' joints in the palm frame, (n, 3) [m]."""
     return poses[:, rigid_body.POSITION : rigid_body.POSITION + 3]
 
 
 def joint_points(digit: DigitModel, q: Values) -> Array:
-    """Return the joints from the palm outwards, then the tip, (n + 1, 3) [m]."""
+    """Return the positions of the joints from the palm outwards and of the tip, in the palm frame, (n + 1, 3) [m]."""
     poses = link_poses(digit, q)
     tip = joint_positions(poses)[-1] + digit.lengths[-1] * link_rotations(poses)[-1, :, 0]
     return np.vstack((joint_positions(poses), tip))
 
 
 def forward_kinematics(digit: DigitModel, q: Values) -> TipPose:
-    """Return the tip pose at joint angles q (n,) [rad]."""
+    """Return the pose of the tip of a digit at joint angles q (n,) [rad]."""
     return TipPose(joint_points(digit, q)[-1], link_rotations(link_poses(digit, q))[-1])
 
 
 def point_jacobian(digit: DigitModel, q: Values, link: int, along: float) -> Array:
-    """Return the velocity of a point of a link per joint velocity, (3, n) [m].
+    """Return the Jacobian of a point of a link: velocity of the point per joint velocity, (3, n) [m].
 
     Args:
         digit: model of the digit.
         q: joint angles (n,) [rad].
         link: index of the link, from 0.
-        along: distance of the point from the link's own joint, along the link [m].
+        along: distance of the point from the joint of the link, along the link [m].
     """
     poses = link_poses(digit, q)
     point = joint_positions(poses)[link] + along * link_rotations(poses)[link, :, 0]
     axes = poses[:, rigid_body.DIRECTION : rigid_body.DIRECTION + 3]
     jacobian = np.cross(axes, point - joint_positions(poses)).T
-    # Joints beyond the link do not move it.
+    # Joints farther out than the link do not move the point.
     jacobian[:, link + 1 :] = 0.0
     return np.asarray(jacobian)
 
 
 def tip_jacobian(digit: DigitModel, q: Values) -> Array:
-    """Return the velocity of the tip per joint velocity, (3, n) [m]."""
+    """Return the Jacobian of the tip of a digit: velocity of the tip per joint velocity, (3, n) [m]."""
     return point_jacobian(digit, q, digit.joint_count - 1, digit.lengths[-1])
 
 
 def to_palm(digit: DigitModel, positions: Array) -> Array:
-    """Transform points (.., 3) [m] of the digit's frame to the palm frame."""
+    """Transform points (.., 3) [m] from the digit's frame to the palm frame."""
     return positions @ digit.mount_rotation.T + digit.mount_position
 
 
 def from_palm(digit: DigitModel, position: Values) -> Array:
-    """Transform points (.., 3) [m] of the palm frame to the digit's frame."""
+    """Transform points (.., 3) [m] from the palm frame to the digit's frame."""
     return np.asarray((np.asarray(position) - digit.mount_position) @ digit.mount_rotation)

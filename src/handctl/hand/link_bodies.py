@@ -1,4 +1,4 @@
-"""Bodies of a digit's links: axes, orientations, centres of mass and inertia, in each link's frame."""
+"""Geometry and mass of a digit's links: joint axes, orientations, centres of mass, inertias, in each link's frame."""
 
 import math
 
@@ -10,9 +10,9 @@ from handctl.hand.file.sections import Digit
 Array = NDArray[np.float64]
 
 Z_AXIS = (0.0, 0.0, 1.0)
-"""Axis of a hinge without ``joint_axis``."""
+"""Axis of each hinge of a digit without ``joint_axis``."""
 GIMBAL_LOCK = 1e-9
-"""Cosine of the pitch below which roll and yaw are not separable."""
+"""Cosine of the pitch below which roll and yaw cannot be separated."""
 
 
 def joint_axes(digit: Digit) -> Array:
@@ -31,17 +31,17 @@ def joint_rotations(digit: Digit) -> Array:
 
 
 def centre_of_mass(digit: Digit, i: int) -> Array:
-    """Return the centre of mass of link i in its frame, (3,) [m]."""
+    """Return the centre of mass of link i in the frame of the link, (3,) [m]."""
     com = digit.link_com_m[i]
     return np.array([com, 0.0, 0.0] if isinstance(com, float) else com)
 
 
 def link_inertia(digit: Digit, i: int) -> Array:
-    """Return the inertia of link i about its centre of mass, along its frame, (3, 3) [kg m2]."""
+    """Return the inertia of link i about its centre of mass, in the frame of the link, (3, 3) [kg m2]."""
     values = digit.link_inertia_kg_m2[i]
     if isinstance(values, float):
-        # This is the inertia of a round bar about its axis. By the triangle inequality of inertias
-        # it is at most 2 I.
+        # Along the link, the inertia is that of a round bar about its axis. The triangle inequality
+        # limits it to twice the inertia across the link.
         along = min(digit.link_mass_kg[i] * digit.link_radius_m**2 / 2, 2 * values)
         return np.diag([along, values, values])
     xx, yy, zz, xy, xz, yz = values if len(values) == 6 else (*values, 0.0, 0.0, 0.0)
@@ -49,9 +49,9 @@ def link_inertia(digit: Digit, i: int) -> Array:
 
 
 def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
-    """Return position (3,) [m] and rotation (3, 3) of link i at angle zero in the frame before the link.
+    """Return position (3,) [m] and rotation (3, 3) of link i, at angle zero, in the frame of the link before.
 
-    The frame before the first link is that of the palm.
+    For the first link, this is the frame of the palm, or of the link that carries the digit.
     """
     rotation = joint_rotations(digit)[i]
     if i > 0:
@@ -74,9 +74,9 @@ def rpy_of(rotation: Array) -> tuple[float, float, float]:
 
 
 def rotation_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Return the (3, 3) rotation about the fixed axes x, y, z in turn [rad].
+    """Return the rotation (3, 3) of a turn about the fixed axes x, y, z, one after the other [rad].
 
-    Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+    The result is Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
     """
     cr = math.cos(roll)
     sr = math.sin(roll)

@@ -10,7 +10,7 @@ from handctl.hand.kinematics import joint_points, link_poses, link_rotations
 
 
 class Transform(NamedTuple):
-    """Frame in the palm frame, in ROS convention: position [m] and unit quaternion."""
+    """Pose of a frame in the palm frame: position [m] and unit quaternion, as in ROS."""
 
     frame: str
     position: tuple[float, float, float]
@@ -18,13 +18,13 @@ class Transform(NamedTuple):
 
 
 def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
-    """Return the frames of all links and of the tip in the palm frame.
+    """Return the frames of all links and of the tip of a digit, in the palm frame.
 
-    The frames ``<digit>_link1``, ``<digit>_link2`` and so on are at the links' joints, with x along
-    the link. ``<digit>_tip`` follows.
+    The frames ``<digit>_link1``, ``<digit>_link2`` and so on have their origins in the joints of
+    the links, and x along the link. The last frame is ``<digit>_tip``.
     """
     poses = link_poses(digit, q)
-    # The tip frame has the direction of the last link.
+    # The frame of the tip has the orientation of the last link.
     names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
     turned = [quaternion(rotation) for rotation in link_rotations(poses)]
     return tuple(
@@ -36,11 +36,11 @@ def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:
     """Return the unit quaternion (x, y, z, w) of a rotation matrix (3, 3).
 
-    The largest component is computed first, so that no division is by a small number.
+    The largest component is calculated first. Thus no number is divided by a small one.
     Source: Shepperd (1978).
     """
     trace = float(np.trace(rotation))
-    # These are four times the squares of x, y, z, w.
+    # The entries are four times the squares of x, y, z, w.
     squares = [*(1.0 - trace + 2.0 * np.diag(rotation)).tolist(), 1.0 + trace]
     largest = max(range(4), key=squares.__getitem__)
     (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation.tolist()

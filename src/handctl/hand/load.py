@@ -1,4 +1,7 @@
-"""Loading of packaged hands and hand files. Each section is validated, then the sections are checked together."""
+"""Loading of packaged hands and of hand files.
+
+Each section is validated. Then the sections are checked together.
+"""
 
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -23,7 +26,7 @@ from handctl.hand.file.templates import (
 from handctl.printing import similar_name
 
 READABLE_SCHEMAS = (RESOLVED_SCHEMA, WRITTEN_SCHEMA)
-"""Supported versions of the hand file's format."""
+"""Schema numbers of the hand files that this version of handctl reads."""
 PACKAGED_HANDS_FOLDER = Path(__file__).parent / "hands"
 """Folder of the packaged hand files."""
 Validated = TypeVar("Validated", bound=Section)
@@ -35,7 +38,7 @@ def packaged_hands() -> tuple[str, ...]:
 
 
 def load_hand(name_or_path: str | Path) -> Hand:
-    """Load a hand.
+    """Load a packaged hand or a hand file.
 
     Args:
         name_or_path: name of a packaged hand, or path of a hand file.
@@ -49,10 +52,10 @@ def load_hand(name_or_path: str | Path) -> Hand:
 
 
 def hand_path(name_or_path: str | Path) -> Path:
-    """Return the path of a hand file, by packaged name or path.
+    """Return the path of a hand file, given the name of a packaged hand or a path.
 
     Raises:
-        ConfigError: neither a packaged hand nor a file.
+        ConfigError: the argument is neither the name of a packaged hand nor the path of a file.
     """
     names = packaged_hands()
     if name_or_path in names:
@@ -68,7 +71,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file.
 
     Raises:
-        ConfigError: the file is unreadable, or not TOML.
+        ConfigError: the file is unreadable, or its content is not TOML.
     """
     try:
         if path.exists() and not path.is_file():
@@ -86,10 +89,11 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
     Args:
         text: TOML text.
-        source: name of the text in messages.
+        source: name of the source of the text, for messages.
 
     Raises:
-        ConfigError: not TOML, or an integer beyond the 64 bits guaranteed by TOML.
+        ConfigError: the text is not TOML, or contains an integer of more than the 64 bits that TOML
+            guarantees.
     """
     try:
         content = tomllib.loads(text)
@@ -100,8 +104,12 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
-    """Refuse integers beyond 64 bits. Python cannot print very long ones."""
-    # An explicit stack is used, because deeply nested content would exhaust the stack of Python.
+    """Refuse integers of more than 64 bits.
+
+    Messages could not contain very long integers, because Python refuses to print them.
+    """
+    # A list takes the place of recursion, because deeply nested content would exceed Python's
+    # recursion limit.
     nodes: list[tuple[str, Any]] = list(content.items())
     while nodes:
         key, node = nodes.pop()
@@ -115,11 +123,11 @@ def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
 
 
 def hand_from_content(content: Mapping[str, Any], source: str) -> Hand:
-    """Validate parsed content, from one source or from several layers.
+    """Validate parsed content of a hand file, and return the hand.
 
     Args:
-        content: content as parsed from TOML.
-        source: name of the content in messages.
+        content: content as parsed from TOML, possibly merged from several sources.
+        source: name of the source of the content, for messages.
 
     Raises:
         ConfigError: for the same reasons as in ``load_hand``.
@@ -131,7 +139,9 @@ def hand_from_content(content: Mapping[str, Any], source: str) -> Hand:
 
 
 def hand_content(name_or_path: str | Path) -> dict[str, Any]:
-    """Return the content of a hand file with defaults and templates replaced by values, not validated.
+    """Return the content of a hand file, with defaults and templates replaced by values.
+
+    The content is not validated.
 
     Raises:
         ConfigError: the file is missing, unreadable, or not TOML.
@@ -140,7 +150,7 @@ def hand_content(name_or_path: str | Path) -> dict[str, Any]:
 
 
 def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mistake]]:
-    """Validate parsed content, and find all its mistakes.
+    """Validate parsed content of a hand file, and find all mistakes in it.
 
     Returns:
         The hand and no mistakes, or None and at least one mistake.
@@ -171,19 +181,21 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mist
         digits = _valid_sections(resolved.content, "digit", Digit)
         found += check_sections(digits, _valid_sections(resolved.content, "tendon", Tendon))
     else:
-        # A mistake in a template would cause further mistakes in the checks of the whole hand.
+        # The whole hand is not checked if a template has mistakes, because they would cause further
+        # mistakes there.
         found = [] if mistakes else list(check_hand(hand))
     mistakes += with_paths_of_file(found, resolved.origins)
     return (None, mistakes) if mistakes else (hand, [])
 
 
 class InspectedHand(NamedTuple):
-    """Findings in a hand file.
+    """Result of the inspection of a hand file.
 
     Attributes:
         hand: the hand, or None if the content is not valid.
-        mistakes: all mistakes that a run refuses. A valid hand can have mistakes as well.
-        origins: key path in the file by key path in the resolved content.
+        mistakes: all mistakes because of which the hand must not run. A valid hand can also have
+            such mistakes.
+        origins: key path in the file of each value, by its key path in the resolved content.
     """
 
     hand: Hand | None
@@ -192,11 +204,12 @@ class InspectedHand(NamedTuple):
 
 
 def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
-    """Validate parsed content, and find all mistakes that a run refuses."""
+    """Validate parsed content of a hand file, and find all mistakes because of which the hand must not run."""
     hand, mistakes = validate_content(content)
     origins = resolve_templates(content).origins if content.get("schema") == WRITTEN_SCHEMA else {}
     if hand is not None:
-        # Imported here, because it imports numba, which the loading of a hand does not need.
+        # This module imports numba, which takes long and is not needed to load a hand. Therefore it
+        # is imported only here.
         from handctl.hand.readiness import reasons_not_ready
 
         mistakes = with_paths_of_file(reasons_not_ready(hand), origins)
@@ -204,7 +217,7 @@ def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
 
 
 def _valid_sections(content: Mapping[str, Any], kind: str, model: type[Validated]) -> Iterator[Validated]:
-    """Yield the sections of a kind that are valid by themselves."""
+    """Yield the sections of a kind that are valid without regard to other sections."""
     sections = content.get(kind)
     for section in sections if isinstance(sections, list | tuple) else ():
         with suppress(ValidationError):
@@ -212,5 +225,5 @@ def _valid_sections(content: Mapping[str, Any], kind: str, model: type[Validated
 
 
 def _valid_names(names: tuple[str, ...]) -> str:
-    """Return the valid hand names, for messages."""
+    """Return a text about valid names of hands, for messages."""
     return "one of " + ", ".join(names) + ", or the path of a hand file"

@@ -1,9 +1,10 @@
 """Moment arms of tendons at joints: constant, or a polynomial of the joint angle.
 
-All arms are polynomials r(q) of one fixed degree. The excursion of a tendon at a joint is the exact
-integral of r from 0 to q. Outside of the joint's range the arm is that at the nearer limit. So a
-polynomial is evaluated only where it was given, and the excursion is monotonic for all angles. A
-table of measured arms becomes the least-squares polynomial of ``TABLE_DEGREE``.
+All arms are stored as polynomials r(q) of the same fixed degree. The excursion of a tendon at a
+joint is the exact integral of r from 0 to q. Outside of the joint's range, the arm is that at the
+nearer limit. Thus a polynomial is only evaluated in the range for which it was given, and the
+excursion is monotonic for all angles. A table of measured arms becomes the least-squares polynomial
+of degree ``TABLE_DEGREE``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,17 +16,17 @@ from handctl.hand.file.quantities import COEFFICIENTS
 
 Array = NDArray[np.float64]
 Arm = float | Mapping[str, Sequence[float]]
-"""Arm in a hand file: a number, ``{"polynomial_m": ...}``, or ``{"angle_deg": ..., "arm_m": ...}``."""
+"""Moment arm in a hand file: a number, ``{"polynomial_m": ...}``, or ``{"angle_deg": ..., "arm_m": ...}``."""
 
 TABLE_DEGREE = 3
-"""Degree of the polynomial for a table, if the table has enough entries."""
+"""Degree of the polynomial that replaces a table of moment arms, if the table has enough entries."""
 
 
 def polynomial_of(arm: Arm) -> Array:
-    """Return the coefficients (COEFFICIENTS,) of an arm, constant term first, for a joint angle in rad.
+    """Return the polynomial coefficients (COEFFICIENTS,) of a moment arm, constant term first, for angles in rad.
 
     Args:
-        arm: valid arm of a hand file.
+        arm: valid moment arm of a hand file.
     """
     result = np.zeros(COEFFICIENTS)
     if not isinstance(arm, Mapping):
@@ -41,29 +42,35 @@ def polynomial_of(arm: Arm) -> Array:
 
 
 def table_of(arm: Arm) -> tuple[Array, Array]:
-    """Return angles [rad] and arms [m] of a table, (k,) each. k is 0 for an arm without a table."""
+    """Return the angles [rad] and arms [m] of a table of moment arms, (k,) each.
+
+    k is 0 for an arm without a table.
+    """
     if not isinstance(arm, Mapping) or "angle_deg" not in arm:
         return np.zeros(0), np.zeros(0)
     return np.radians(arm["angle_deg"]), np.asarray(arm["arm_m"], dtype=np.float64)
 
 
 def table_residual(arm: Arm) -> float:
-    """Return the largest difference between a table and its polynomial [m], 0 for an arm without table."""
+    """Return the largest difference between a table of moment arms and its polynomial [m].
+
+    It is 0 for an arm without a table.
+    """
     angle, values = table_of(arm)
     fitted = np.polynomial.polynomial.polyval(angle, polynomial_of(arm))
     return float(np.abs(fitted - values).max(initial=0.0))
 
 
 def is_varying(arm: Arm) -> bool:
-    """Return True if an arm is written as a polynomial or as a table."""
+    """Return True if a moment arm is written as a polynomial or as a table, and not as a number."""
     return isinstance(arm, Mapping)
 
 
 def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
-    """Return the moment arms R at joint angles, (..., n_t, n) [m].
+    """Return the moment arms R at given joint angles, (..., n_t, n) [m].
 
     Args:
-        polynomials: (n_t, n, COEFFICIENTS).
+        polynomials: (n_t, n, COEFFICIENTS) moment arms as polynomials.
         limits: (2, n) smallest and largest joint angles [rad].
         q: (..., n) joint angles [rad].
     """
@@ -72,10 +79,12 @@ def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
 
 
 def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
-    """Return the excursion of each tendon at each joint, the integral of the arm, (..., n_t, n) [m].
+    """Return the excursion of each tendon at each joint, (..., n_t, n) [m].
+
+    It is the integral of the moment arm over the joint angle.
 
     Args:
-        polynomials: (n_t, n, COEFFICIENTS).
+        polynomials: (n_t, n, COEFFICIENTS) moment arms as polynomials.
         limits: (2, n) smallest and largest joint angles [rad].
         q: (..., n) joint angles [rad].
     """
@@ -86,10 +95,10 @@ def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
 
 
 def mean_arm(arm: Arm, low: float, high: float) -> float:
-    """Return the mean of an arm over the joint's range [m]. The mean of a constant arm is the arm itself.
+    """Return the mean of a moment arm over the range of its joint [m]. A constant arm is its own mean.
 
     Args:
-        arm: valid arm of a hand file.
+        arm: valid moment arm of a hand file.
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
     """
@@ -100,7 +109,7 @@ def mean_arm(arm: Arm, low: float, high: float) -> float:
 
 
 def _horner(polynomials: Array, q: Array) -> Array:
-    """Return the values of polynomials (n_t, n, COEFFICIENTS) at angles (..., 1, n) by Horner's method."""
+    """Return the values of polynomials (n_t, n, COEFFICIENTS) at angles (..., 1, n), with Horner's method."""
     value = np.zeros(np.broadcast_shapes(polynomials.shape[:2], q.shape))
     for order in range(COEFFICIENTS - 1, -1, -1):
         value = value * q + polynomials[..., order]

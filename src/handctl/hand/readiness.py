@@ -1,7 +1,7 @@
 """Checks that a hand must pass before it runs, in addition to the checks of a valid file.
 
-A valid hand file can be read, and be used by tools and logs. A run also needs possible bit rates,
-digits that open, and coordinates that flex.
+Tools and logs can use any valid hand file. A run also needs bit rates that controllers can have,
+digits that open by themselves, and coordinates that flex.
 """
 
 from collections.abc import Iterator
@@ -17,17 +17,20 @@ from handctl.hand.moment_arms import arms_at, table_of, table_residual
 
 Vector = NDArray[np.float64]
 MAX_ARBITRATION_BITRATE = 1_000_000
-"""Largest bit rate of classical CAN and of the arbitration phase of CAN FD [bit/s]. Source: ISO 11898-2."""
+"""Largest bit rate of classical CAN and of the arbitration phase of CAN FD [bit/s].
+
+Source: ISO 11898-2.
+"""
 MAX_TORQUE_RESIDUAL = 1e-6
-"""Largest residual of a torque that counts as 0, as a fraction of the largest moment arm at 1 N."""
+"""Largest torque that counts as 0, as a fraction of the torque of 1 N at the largest moment arm."""
 CHECKED_POSTURES = 11
-"""Number of postures at which a digit with moment arms that depend on the angle is checked."""
+"""Number of postures at which a digit is checked whose moment arms depend on joint angles."""
 SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
 
 
 def reasons_not_ready(hand: Hand) -> Iterator[Mistake]:
-    """Yield the reasons why a valid hand cannot run, by key."""
+    """Yield the reasons why a valid hand must not run, each with the key path of the cause."""
     for bus in hand.bus:
         yield from _check_rates(bus)
     for digit in hand.digit:
@@ -36,7 +39,7 @@ def reasons_not_ready(hand: Hand) -> Iterator[Mistake]:
 
 
 def _check_rates(bus: Bus) -> Iterator[Mistake]:
-    """Check that controllers can have the bit rates of a bus."""
+    """Check that CAN controllers can have the bit rates of a bus."""
     where = f"bus[{bus.name}]"
     if bus.bitrate > MAX_ARBITRATION_BITRATE:
         right = f"at most {MAX_ARBITRATION_BITRATE}; the faster data phase of CAN FD is data_bitrate"
@@ -46,7 +49,7 @@ def _check_rates(bus: Bus) -> Iterator[Mistake]:
 
 
 def _check_direction(digit: Digit) -> Iterator[Mistake]:
-    """Check that a positive coordinate of a coupled digit flexes, and that its joints can follow."""
+    """Check the coordinates of a coupled digit: each must move within the joint limits, and flex if it is positive."""
     if digit.coupling is None:
         return
     where = f"digit[{digit.name}].coupling"
@@ -61,7 +64,7 @@ def _check_direction(digit: Digit) -> Iterator[Mistake]:
 def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
     """Return the smallest and the largest value of each coordinate of a digit, (n_c,) each [deg].
 
-    Each coordinate alone moves its joints within their limits.
+    Between these values, each coordinate alone keeps its joints within their limits.
     """
     limits = np.array([digit.joint_min_deg, digit.joint_max_deg])
     if digit.coupling is None:
@@ -71,7 +74,7 @@ def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
 
 
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
-    """Check that springs open each coordinate of a digit against the tension floor, or that antagonists do."""
+    """Check that springs or antagonistic tendons open each coordinate of a digit against the tension floor."""
     tendons = hand.digit_tendons[digit.name]
     if hand.is_pair[tendons].any():
         return  # a spool pair pulls in both directions
@@ -81,7 +84,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
         limits = hand.joint_limits[:, hand.digit_joints[digit.name]]
         polynomials = hand.arm_polynomials[tendons, hand.digit_joints[digit.name]]
         postures = list(arms_at(polynomials, limits, np.linspace(limits[0], limits[1], CHECKED_POSTURES)) @ coupling)
-    arms = postures[0]  # these are the tensions and torques of the open digit
+    arms = postures[0]  # moment arms of the open digit
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
     stiffness = np.array(digit.spring_stiffness_N_m_per_rad)
     opened = np.radians(digit.joint_min_deg) + np.array(digit.spring_preload_rad)
@@ -96,7 +99,8 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     weak = (springs <= closing) & (arms.min(axis=0) >= 0.0)
     if not weak.any():
         return
-    # Each digit has one line, for the joint with the largest closing torque.
+    # Each digit causes one mistake only, for the joint whose closing torque exceeds the spring
+    # torque most.
     worst = int(np.argmax(np.where(weak, closing - springs, -np.inf)))
     joint = f"j{worst + 1}" if digit.coupling is None else "the joints"
     key = "spring_preload_rad" if stiffness.any() else "spring_stiffness_N_m_per_rad"
@@ -106,7 +110,10 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
 
 
 def table_fits(hand: Hand) -> tuple[str, ...]:
-    """Return how far the polynomials differ from the tables of moment arms, one line per tendon with a table."""
+    """Return lines that say how far polynomials differ from tables of moment arms.
+
+    There is one line for each tendon with a table.
+    """
     lines = []
     for tendon in hand.tendon:
         tables = {joint: arm for joint, arm in tendon.moment_arm_m.items() if len(table_of(arm)[0])}
@@ -117,17 +124,17 @@ def table_fits(hand: Hand) -> tuple[str, ...]:
 
 
 def can_hold_each_other(arms: Vector) -> bool:
-    """Return True if tensions above 0 exist that make no torque together.
+    """Return True if positive tensions exist that together make no torque.
 
     Args:
         arms: reduced moment arms R B, (n_t, n_c) [m].
     """
     largest = np.abs(arms).max()
     if ((arms.min(axis=0) >= 0.0) & (arms.max(axis=0) > MAX_TORQUE_RESIDUAL * largest)).any():
-        return False  # positive tensions always make a torque about a coordinate with positive arms only
-    from scipy.optimize import nnls  # imported here, because the import takes as long as the whole check of a hand
+        return False  # if all arms at a coordinate are positive, all tensions together make a torque
+    from scipy.optimize import nnls  # the import takes as long as the whole check of a hand
 
-    # The tensions are 1 + w with w >= 0. They can make no torque if the non-negative least-squares
-    # problem has no residual.
+    # Tensions 1 + w with w >= 0 make no torque together if this non-negative least-squares problem
+    # has no residual.
     _, residual = nnls(arms.T, -arms.sum(axis=0))
     return bool(residual <= MAX_TORQUE_RESIDUAL * largest)

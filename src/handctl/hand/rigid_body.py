@@ -1,9 +1,9 @@
 """Rigid-body mechanics of trees of hinged links, as compiled code: poses, weight and inverse dynamics.
 
-A table has a column per link, in an order in which each link comes after its parent. ``parent`` has
-the column of each link's parent, -1 for the palm. The frame of a link has its origin in the link's
-joint, and its x axis along the link. The tip of a link is at the length of the link along x.
-Gravity and poses are in the palm frame. Rates and forces of ``write_newton_euler`` are in the
+A table has a column for each link, and each link comes after its parent. ``parent`` contains the
+column of each link's parent, or -1 for the palm. The frame of a link has its origin in the link's
+joint, and its x axis along the link. The tip of a link lies on this axis, at the length of the
+link. Gravity and poses are in the palm frame. Rates and forces of ``write_newton_euler`` are in the
 frames of the links.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
@@ -22,40 +22,43 @@ Counts = NDArray[np.int64]
 FIXED = 0
 COSINE = 9
 SINE = 18
-"""First rows of three matrices, row by row. The rotation of a link to its parent is
-FIXED + COSINE cos q + SINE sin q."""
+"""First rows in the table of three matrices, which are stored row by row.
+
+The rotation from the frame of a link to that of its parent is FIXED + COSINE cos q + SINE sin q.
+"""
 ORIGIN = 27
-"""First row of the joint's position in the parent's frame [m]."""
+"""First row in the table of the joint's position in the parent's frame [m]."""
 AXIS = 30
-"""First row of the joint's axis in the link's frame, a unit vector."""
+"""First row in the table of the joint's axis in the link's frame, a unit vector."""
 MASS = 33
-"""Row of the link's mass [kg]."""
+"""Row in the table of the link's mass [kg]."""
 MOMENT = 34
-"""First row of the link's first moment of mass, in the frame of the link [kg m]."""
+"""First row in the table of the link's first moment of mass, in the frame of the link [kg m]."""
 INERTIA = 37
-"""First row of the inertia about the joint's position: xx, yy, zz, xy, xz, yz [kg m2]."""
+"""First row in the table of the link's inertia about its joint: xx, yy, zz, xy, xz, yz [kg m2]."""
 ARMATURE = 43
-"""Row of the inertia of the joint alone [kg m2]."""
+"""Row in the table of the inertia of the joint itself, without its link [kg m2]."""
 LENGTH = 44
-"""Row of the link's length [m]."""
+"""Row in the table of the link's length [m]."""
 ROWS = 45
 """Number of rows of a table."""
 
 ROTATION = 0
-"""First column of a pose's rotation to the palm frame, row by row."""
+"""First column in a pose of the rotation from the link's frame to the palm frame, which is stored row by row."""
 POSITION = 9
-"""First column of the position of the link's joint [m]."""
+"""First column in a pose of the position of the link's joint in the palm frame [m]."""
 DIRECTION = 12
-"""First column of the joint's axis in the palm frame."""
+"""First column in a pose of the joint's axis in the palm frame."""
 CARRIED_MASS = 15
-"""Column of the mass of the link and of all links beyond [kg]."""
+"""Column in a pose of the mass of the link and of all links that it carries [kg]."""
 CARRIED_MOMENT = 16
-"""First column of the first moment of the carried mass, in the palm frame [kg m]."""
+"""First column in a pose of the first moment of this mass, in the palm frame [kg m]."""
 POSE = 19
 """Number of columns of a pose."""
 
-# Columns of the working memory of ``write_newton_euler``. The rotation to the parent has columns 0
-# to 8. These are the first columns of vectors in the frame of the link, and the number of columns.
+# Columns of the working memory of ``write_newton_euler``. The rotation from a link to its parent
+# has columns 0 to 8. The following constants are the first columns of vectors in the frame of the
+# link, and the number of columns.
 _RATE = 9
 _TURN = 12
 _MOVE = 15
@@ -66,12 +69,12 @@ _WORK = 24
 
 @inner
 def write_link_poses(table: Array, row: int, parent: Counts, q: Array, pose: Array) -> None:
-    """Write the poses of all links, without the carried masses.
+    """Write the poses of all links, except the carried masses and their moments.
 
     Args:
-        table: array that contains the table of links, see the module.
+        table: array that contains the table of links, see the docstring of the module.
         row: first row of the table in the array.
-        parent: (n,) column of the link before, -1 for the palm.
+        parent: (n,) column of the parent of each link, -1 for the palm.
         q: (n,) joint angles [rad].
         pose: (n, POSE) result.
     """
@@ -104,7 +107,7 @@ def write_link_poses(table: Array, row: int, parent: Counts, q: Array, pose: Arr
 
 @inner
 def _component_along(table: Array, row: int, pose: Array, j: int, a: int) -> float:
-    """Return component a, in the palm frame, of a vector of three rows in the frame of link j."""
+    """Return a component in the palm frame of a vector that the table has in the frame of link j."""
     first = pose[j, ROTATION + 3 * a] * table[row, j]
     second = pose[j, ROTATION + 3 * a + 1] * table[row + 1, j]
     third = pose[j, ROTATION + 3 * a + 2] * table[row + 2, j]
@@ -119,7 +122,7 @@ def write_carried_masses(table: Array, row: int, parent: Counts, pose: Array) ->
         for a in range(3):
             moment = _component_along(table, row + MOMENT, pose, j, a)
             pose[j, CARRIED_MOMENT + a] = table[row + MASS, j] * pose[j, POSITION + a] + moment
-    # Links are visited from the tips to the palm.
+    # The loop visits the links from the tips to the palm.
     for j in range(len(pose) - 1, -1, -1):
         before = parent[j]
         if before >= 0:
@@ -136,7 +139,7 @@ def write_weight_torques(table: Array, row: int, parent: Counts, gravity: Array,
         row: see ``write_link_poses``.
         parent: see ``write_link_poses``.
         gravity: (3,) gravity in the palm frame [m/s2].
-        pose: (n, POSE) poses. Their carried masses are written.
+        pose: (n, POSE) poses. Their carried masses are overwritten.
         torque: (n,) result.
     """
     write_carried_masses(table, row, parent, pose)
@@ -145,8 +148,8 @@ def write_weight_torques(table: Array, row: int, parent: Counts, gravity: Array,
         x = pose[j, CARRIED_MOMENT] - mass * pose[j, POSITION]
         y = pose[j, CARRIED_MOMENT + 1] - mass * pose[j, POSITION + 1]
         z = pose[j, CARRIED_MOMENT + 2] - mass * pose[j, POSITION + 2]
-        # The torque of the weight is (first moment) x gravity, along the joint's axis. Its negative
-        # balances it.
+        # The weight makes the torque (first moment) x gravity about the joint's axis. The negative
+        # of this torque balances the weight.
         torque[j] = -(
             pose[j, DIRECTION] * (y * gravity[2] - z * gravity[1])
             + pose[j, DIRECTION + 1] * (z * gravity[0] - x * gravity[2])
@@ -156,14 +159,15 @@ def write_weight_torques(table: Array, row: int, parent: Counts, gravity: Array,
 
 @inner
 def write_levers(pose: Array, first: int, touched: int, along: float, lever: Array) -> None:
-    """Write the levers of a force on a link about the joints from ``first`` to the link [m].
+    """Write the levers of a force on a link about the joints from ``first`` to the joint of the link [m].
 
-    The force is along y of the link, the side of flexion, at a point on the link's x axis.
+    The force acts at a point on the x axis of the link, along the link's y axis, which points to
+    the side of flexion.
 
     Args:
         pose: (n, POSE) poses.
         first: first joint of the chain.
-        touched: index of the link.
+        touched: index of the link on which the force acts.
         along: distance of the point from the link's joint [m].
         lever: (n,) result, from ``first`` to ``touched``.
     """
@@ -177,7 +181,10 @@ def write_levers(pose: Array, first: int, touched: int, along: float, lever: Arr
 
 @inner
 def _lever(pose: Array, j: int, px: float, py: float, pz: float, nx: float, ny: float, nz: float) -> float:
-    """Return the lever about joint j of a force along a unit vector n at a point p, axis . ((p - joint) x n) [m]."""
+    """Return the lever about joint j of a force along a unit vector n at a point p [m].
+
+    It is axis . ((p - joint) x n).
+    """
     x, y, z = px - pose[j, POSITION], py - pose[j, POSITION + 1], pz - pose[j, POSITION + 2]
     return (
         pose[j, DIRECTION] * (y * nz - z * ny)
@@ -192,13 +199,13 @@ def write_turned_levers(
 ) -> None:
     """Write the levers of a force on the last link of a chain after one joint has turned, see ``write_levers``.
 
-    The links beyond this joint turn together with the force, so the levers about their joints do
-    not change.
+    The links beyond this joint turn together with the force. Therefore the levers about their
+    joints do not change.
 
     Args:
         pose: (n, POSE) poses.
         first: first joint of the chain.
-        last: index of the link.
+        last: index of the last link of the chain, on which the force acts.
         along: distance of the point from the link's joint [m].
         turned: joint that turns.
         angle: angle of the turn [rad].
@@ -218,7 +225,10 @@ def write_turned_levers(
 
 @inner
 def _rotated(ax: float, ay: float, az: float, angle: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a vector turned about a unit axis by an angle [rad]. Source: Rodrigues' formula."""
+    """Return a vector (x, y, z), turned about a unit axis by an angle [rad].
+
+    Source: Rodrigues' formula.
+    """
     cosine = math.cos(angle)
     sine = math.sin(angle)
     part = (1.0 - cosine) * (ax * x + ay * y + az * z)
@@ -233,7 +243,7 @@ def _rotated(ax: float, ay: float, az: float, angle: float, x: float, y: float, 
 def write_newton_euler(
     table: Array, row: int, parent: Counts, gravity: Array, q: Array, dq: Array, ddq: Array, torque: Array
 ) -> None:
-    """Write the joint torques (n,) of inertia and weight, M q'' + C q' + g [N m].
+    """Write the joint torques (n,) that a motion needs against inertia and weight, M q'' + C q' + g [N m].
 
     Args:
         table: see ``write_link_poses``.
@@ -249,8 +259,8 @@ def write_newton_euler(
     for j in range(len(q)):
         _move_link(table, row, parent[j], gravity, q[j], dq[j], ddq[j], work, j)
         _load_link(table, row, work, j)
-    # Links are visited from the tips to the palm: each joint carries the forces of its link and of
-    # all links beyond.
+    # The loop visits the links from the tips to the palm, because each joint carries the forces of
+    # its link and of all links beyond.
     for j in range(len(q) - 1, -1, -1):
         torque[j] = (
             table[row + AXIS, j] * work[j, _TORQUE]
@@ -267,26 +277,30 @@ def write_newton_euler(
 def _move_link(
     table: Array, row: int, before: int, gravity: Array, q: float, dq: float, ddq: float, work: Array, j: int
 ) -> None:
-    """Write rotation, rate, angular acceleration, and acceleration minus gravity of link j, in the link's frame."""
+    """Write the motion of link j in the frame of the link.
+
+    It consists of the rotation to the parent, rate, angular acceleration, and acceleration minus
+    gravity.
+    """
     cosine = math.cos(q)
     sine = math.sin(q)
     for i in range(9):
         work[j, i] = table[row + FIXED + i, j] + cosine * table[row + COSINE + i, j] + sine * table[row + SINE + i, j]
     wx, wy, wz = 0.0, 0.0, 0.0
     tx, ty, tz = 0.0, 0.0, 0.0
-    # Gravity is included as an acceleration of the palm in the opposite direction.
+    # An acceleration of the palm against gravity has the same effect as gravity.
     mx, my, mz = -gravity[0], -gravity[1], -gravity[2]
     if before >= 0:
         wx, wy, wz = work[before, _RATE], work[before, _RATE + 1], work[before, _RATE + 2]
         tx, ty, tz = work[before, _TURN], work[before, _TURN + 1], work[before, _TURN + 2]
         ox, oy, oz = table[row + ORIGIN, j], table[row + ORIGIN + 1, j], table[row + ORIGIN + 2, j]
-        # Acceleration of the joint's position: a + t x o + w x (w x o).
+        # The acceleration of the joint's position is a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
         mx = work[before, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
         my = work[before, _MOVE + 1] + (tz * ox - tx * oz) + (wz * ux - wx * uz)
         mz = work[before, _MOVE + 2] + (tx * oy - ty * ox) + (wx * uy - wy * ux)
     for a in range(3):
-        # The transposed rotation converts from the parent's frame into the link's frame.
+        # The transposed rotation transforms a vector from the parent's frame to the link's frame.
         work[j, _RATE + a] = work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
         work[j, _TURN + a] = work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
         work[j, _MOVE + a] = work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
@@ -302,20 +316,20 @@ def _move_link(
 
 @inner
 def _load_link(table: Array, row: int, work: Array, j: int) -> None:
-    """Write the force on link j, and its torque about the joint, in the link's frame."""
+    """Write the force and the torque about the joint that the motion of link j needs, in the link's frame."""
     mass = table[row + MASS, j]
     hx, hy, hz = table[row + MOMENT, j], table[row + MOMENT + 1, j], table[row + MOMENT + 2, j]
     wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
     tx, ty, tz = work[j, _TURN], work[j, _TURN + 1], work[j, _TURN + 2]
     mx, my, mz = work[j, _MOVE], work[j, _MOVE + 1], work[j, _MOVE + 2]
-    # Force: m a + t x h + w x (w x h).
+    # The force is m a + t x h + w x (w x h).
     ux, uy, uz = wy * hz - wz * hy, wz * hx - wx * hz, wx * hy - wy * hx
     work[j, _FORCE] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
     work[j, _FORCE + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
     work[j, _FORCE + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
     xx, yy, zz = table[row + INERTIA, j], table[row + INERTIA + 1, j], table[row + INERTIA + 2, j]
     xy, xz, yz = table[row + INERTIA + 3, j], table[row + INERTIA + 4, j], table[row + INERTIA + 5, j]
-    # Torque: I t + w x (I w) + h x a.
+    # The torque is I t + w x (I w) + h x a.
     lx, ly, lz = xx * wx + xy * wy + xz * wz, xy * wx + yy * wy + yz * wz, xz * wx + yz * wy + zz * wz
     work[j, _TORQUE] = xx * tx + xy * ty + xz * tz + (wy * lz - wz * ly) + (hy * mz - hz * my)
     work[j, _TORQUE + 1] = xy * tx + yy * ty + yz * tz + (wz * lx - wx * lz) + (hz * mx - hx * mz)
@@ -334,7 +348,7 @@ def _add_load_to_parent(table: Array, row: int, work: Array, j: int, before: int
     work[before, _FORCE] += gx
     work[before, _FORCE + 1] += gy
     work[before, _FORCE + 2] += gz
-    # The force acts at the joint's position: R n + o x (R f).
+    # The force acts at the joint's position. Thus the torque on the parent is R n + o x (R f).
     work[before, _TORQUE] += work[j, 0] * nx + work[j, 1] * ny + work[j, 2] * nz + (oy * gz - oz * gy)
     work[before, _TORQUE + 1] += work[j, 3] * nx + work[j, 4] * ny + work[j, 5] * nz + (oz * gx - ox * gz)
     work[before, _TORQUE + 2] += work[j, 6] * nx + work[j, 7] * ny + work[j, 8] * nz + (ox * gy - oy * gx)
@@ -371,8 +385,9 @@ def rigid_body_torques(table: Array, parent: Counts, gravity: Array, q: Array, d
 def inertia_matrix(table: Array, parent: Counts, q: Array) -> Array:
     """Return the mass matrix (n, n) [kg m2] at joint angles q (n,) [rad], with armature.
 
-    Column k is the torque of a unit acceleration of joint k at rest without gravity. The matrix is
-    symmetric to the last bit: the lower triangle is a copy of the upper.
+    Column k contains the torques that a unit acceleration of joint k needs, at rest and without
+    gravity. The matrix is symmetric to the last bit, because the lower triangle is a copy of the
+    upper one.
     """
     n = len(q)
     rest = np.zeros(max(n, 3))
@@ -390,7 +405,7 @@ def inertia_matrix(table: Array, parent: Counts, q: Array) -> Array:
 
 @kernel("matrix", "counts", "vector", "count", "real")
 def tip_levers(table: Array, parent: Counts, q: Array, touched: int, along: float) -> Array:
-    """Return the levers (n,) [m] of a force on a link of a chain about the chain's joints, see ``write_levers``.
+    """Return the levers (n,) [m] of a force on a link about the joints of its chain, see ``write_levers``.
 
     The levers about joints beyond the link are 0.
     """

@@ -1,8 +1,9 @@
 """Comparison of the force of a runaway drive with the strength of its tendon.
 
-A runaway is a drive that makes its largest torque without a command. The tension peaks 5 to 15 ms
-after the current, so no host can react in time. Only the drive's own current limit protects the
-tendon. A rotor at rest, pushed by a constant force F against an elastic tendon, overshoots to 2 F.
+A runaway drive makes its largest torque without a command. The tension reaches its peak 5 to 15 ms
+after the current rises, and no host can react in this time. Only the current limit inside the drive
+protects the tendon. If a constant force F accelerates a rotor from rest against an elastic tendon,
+the tension overshoots to 2 F.
 """
 
 from collections.abc import Iterable
@@ -14,25 +15,31 @@ from handctl.hand.file.error_text import shortened_list
 from handctl.hand.moment_arms import arms_at
 
 STRENGTH_MARGIN = 1.5
-"""Required ratio of ``rated_breaking_force_N`` to the peak tension if the drive runs away."""
+"""Required ratio of a tendon's ``rated_breaking_force_N`` to the peak tension when the drive runs away."""
 CHECKED_POSTURES = 11
-"""Number of postures among which the largest moment arms are searched."""
+"""Number of postures among which the largest absolute moment arms are searched."""
 RUNAWAY_OVERSHOOT = 2.0
-"""Ratio of peak tension to constant force, for a rotor at rest against a slack, elastic tendon without damping."""
+"""Ratio of peak tension to the constant force that moves a rotor.
+
+The rotor starts at rest, and its elastic tendon is slack at first and has no damping.
+"""
 
 
 def runaway_tension(force: float) -> float:
-    """Return the peak tension [N] of a runaway from rest with a constant ``force`` at the tendon [N]."""
+    """Return the peak tension [N] when a drive runs away from rest with a constant ``force`` at the tendon [N]."""
     return RUNAWAY_OVERSHOOT * force
 
 
 def largest_force(strength: float) -> float:
-    """Return the largest force [N] of a drive that leaves ``STRENGTH_MARGIN`` to the strength of its tendon [N]."""
+    """Return the largest force of a drive [N] at which a tendon of this strength [N] has ``STRENGTH_MARGIN``."""
     return strength / (RUNAWAY_OVERSHOOT * STRENGTH_MARGIN)
 
 
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return one line per insufficient margin, with tendons of equal figures in one line."""
+    """Return a line for each strength margin that is too small.
+
+    Tendons or joints with equal values share a line.
+    """
     rows: dict[str, list[str]] = {}
     for tendon in hand.tendon:
         motor = hand.motor_of(tendon.name)
@@ -54,7 +61,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
-    """Describe a runaway with a force, and the right torque limit of the drive."""
+    """Describe a runaway with a given force, and the torque limit that the drive should have."""
     peak = runaway_tension(force)
     right = largest_force(strength)
     factor = strength / peak
@@ -66,7 +73,10 @@ def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
 
 
 def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
-    """Yield name, torque in a runaway, and rated torque [N m] of each joint of a digit with ratings."""
+    """Yield name, torque in a runaway, and rated torque [N m] of each joint of a digit.
+
+    For a digit without rated torques, yield nothing.
+    """
     described = hand.digit_named(digit)
     if described.joint_rated_torque_N_m is None:
         return

@@ -1,4 +1,4 @@
-"""Tendons: elasticity, friction over the pulleys, and maps between tendon and joint quantities."""
+"""Tendons: their elasticity, their friction on the pulleys, and maps between tendon quantities and joint quantities."""
 
 import math
 from dataclasses import dataclass
@@ -9,22 +9,27 @@ from handctl.hand.digit import Array, DigitModel, Values
 from handctl.hand.file.sections import Tendon
 
 CAPSTAN_FRICTION_SPEED = 1e-3
-"""Speed v0 of the friction's factor tanh(v / v0), which avoids a jump at a reversal [m/s]."""
+"""Speed v0 in the factor tanh(v / v0) of the friction [m/s].
+
+The factor avoids a jump when the motion reverses.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class TendonElasticity:
-    """Tension by stretch: linear up to a knee, then a smooth transition to another stiffness.
+    """Tension of a tendon as a function of its stretch.
 
-    phi = k dl up to f_k. Beyond, with x = dl - f_k / k: phi = f_k + k2 x + (k - k2) w (1 - exp(-x /
-    w)). The tendon is slack at dl <= 0.
+    It is linear up to a knee, and then changes smoothly to another stiffness.
+
+    phi = k dl up to f_k. Beyond this tension, with x = dl - f_k / k, phi = f_k + k2 x + (k - k2) w
+    (1 - exp(-x / w)). The tendon is slack at dl <= 0.
 
     Attributes:
-        stiffness: k [N/m].
-        stiffness_beyond: k2 [N/m].
-        knee: f_k [N].
-        knee_width: w [m].
-        damping: c [N s/m].
+        stiffness: k, stiffness up to the knee [N/m].
+        stiffness_beyond: k2, stiffness far beyond the knee [N/m].
+        knee: f_k, tension at the knee [N].
+        knee_width: w, stretch over which the stiffness changes [m].
+        damping: c, tension per rate of the stretch [N s/m].
     """
 
     stiffness: float
@@ -35,7 +40,7 @@ class TendonElasticity:
 
     @staticmethod
     def of(tendon: Tendon) -> "TendonElasticity":
-        """Return the elasticity of a tendon from its hand file."""
+        """Return the elasticity of a tendon of a hand file."""
         return TendonElasticity(
             stiffness=tendon.stiffness_N_per_m,
             stiffness_beyond=tendon.stiffness_beyond_ratio * tendon.stiffness_N_per_m,
@@ -45,17 +50,17 @@ class TendonElasticity:
         )
 
     def elastic(self, stretch: float) -> float:
-        """Return the tension of a constant stretch [m] [N]."""
+        """Return the tension [N] at a constant stretch [m]."""
         excess = stretch - self.knee / self.stiffness
         if excess <= 0.0:
             return self.stiffness * max(stretch, 0.0)
         return self.knee + self._tension_above_knee(excess)
 
     def tension(self, stretch: float, stretch_rate: float) -> float:
-        """Return the tension with damping [N], 0 when slack and never below 0.
+        """Return the tension with damping [N]. It is 0 when the tendon is slack, and never below 0.
 
         Args:
-            stretch: stretch [m].
+            stretch: stretch of the tendon [m].
             stretch_rate: rate of the stretch [m/s].
         """
         if stretch <= 0.0:
@@ -63,17 +68,20 @@ class TendonElasticity:
         return max(0.0, self.elastic(stretch) + self.damping * stretch_rate)
 
     def tangent_stiffness(self, stretch: float) -> float:
-        """Return the slope of the elastic tension [N/m], 0 when slack."""
+        """Return the slope of the elastic tension over the stretch [N/m].
+
+        It is 0 when the tendon is slack.
+        """
         excess = stretch - self.knee / self.stiffness
         if stretch <= 0.0:
             return 0.0
         return self.stiffness if excess <= 0.0 else self._slope(excess)
 
     def stretch(self, tension: float) -> float:
-        """Return the stretch of a constant tension [m], the inverse of ``elastic``.
+        """Return the stretch [m] at a constant tension. This is the inverse of ``elastic``.
 
-        Beyond the knee Newton's method starts from the linear law. Its steps approach the solution
-        from one side, because the curvature does not change its sign.
+        Beyond the knee, Newton's method starts from the stretch of a linear tendon. Its steps
+        approach the solution from one side, because the curvature has the same sign everywhere.
 
         Raises:
             ValueError: the tension is negative or not finite.
@@ -86,32 +94,33 @@ class TendonElasticity:
         for _ in range(NEWTON_STEPS):
             step = (tension - self.knee - self._tension_above_knee(excess)) / self._slope(excess)
             excess += step
-            # The step is below the resolution of float64.
+            # The step is smaller than the resolution of float64.
             if abs(step) <= 1e-15 * excess:
                 break
         return self.knee / self.stiffness + excess
 
     def _tension_above_knee(self, x: float) -> float:
-        """Return the tension above the knee for a stretch x above that of the knee [m] [N]."""
-        # expm1 keeps its accuracy for x near 0.
+        """Return the tension minus that at the knee [N], for the stretch x beyond the knee [m]."""
+        # expm1 is accurate for x near 0.
         softer = self.stiffness - self.stiffness_beyond
         return self.stiffness_beyond * x - softer * self.knee_width * math.expm1(-x / self.knee_width)
 
     def _slope(self, x: float) -> float:
-        """Return the stiffness for a stretch x above that of the knee [m] [N/m]."""
+        """Return the stiffness [N/m] at the stretch x beyond the knee [m]."""
         return self.stiffness_beyond + (self.stiffness - self.stiffness_beyond) * math.exp(-x / self.knee_width)
 
 
 NEWTON_STEPS = 100
-"""Largest number of Newton steps. About six are usual."""
+"""Largest number of Newton steps. About six steps are usual."""
 
 
 def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
-    """Return the tension at each joint pulley per load cell tension: exp(-mu phi_i tanh(v / v0)).
+    """Return the ratio of tension at each joint pulley to tension at the load cell: exp(-mu phi_i tanh(v / v0)).
 
-    phi_i is the wrap before the first joint plus the joint angles up to and including joint i.
-    Winding reduces the tension towards the tip. Paying out increases it, to factors above 1. At
-    rest the factor is 1. Source: capstan equation.
+    phi_i is the wrap angle before the first joint plus the angles of the crossed joints up to and
+    including joint i. While the spool winds the tendon, friction reduces the tension towards the
+    tip, and factors are below 1. While it pays out, factors are above 1. At rest they are 1.
+    Source: capstan equation.
 
     Args:
         digit: model of the digit.
@@ -119,9 +128,9 @@ def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
         speed: winding speed of each tendon (n_t,) [m/s].
 
     Returns:
-        Factors (n_t, n).
+        Factors by tendon and joint (n_t, n).
     """
-    # Only joints with a moment arm add to the wrap of a tendon.
+    # Only the joints that a tendon crosses add to its wrap angle.
     passed = np.cumsum((digit.moment_arms != 0.0) * np.asarray(q), axis=1)
     exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED))
     return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + passed)))
@@ -130,20 +139,23 @@ def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
 def effective_moment_arms(digit: DigitModel, q: Values, speed: Values) -> Array:
     """Return the moment arms R times the friction factors, (n_t, n) [m].
 
-    The joint torques are the transpose of the result times the tensions at the load cells.
+    The transpose of the result times the tensions at the load cells gives the joint torques.
     """
     return digit.arms_at(q) * pulley_factors(digit, q, speed)
 
 
 def excursions(digit: DigitModel, q: Values) -> Array:
-    """Return the excursion of each tendon at joint angles, the integral of R, (n_t,) [m]."""
+    """Return the excursion of each tendon at given joint angles, (n_t,) [m].
+
+    It is the integral of R.
+    """
     return digit.excursion_at(q)
 
 
 def reflected_inertia(digit: DigitModel) -> Array:
-    """Return the rotor inertia in the digit's coordinates for stiff tendons, (n_c, n_c) [kg m2].
+    """Return the inertia of the rotors in the reduced coordinates of the digit, (n_c, n_c) [kg m2].
 
-    It is (R B)^T (J_m / r_a^2) R B.
+    The tendons are taken as rigid. The result is (R B)^T (J_m / r_a^2) R B.
     """
     arms = digit.reduced_moment_arms
     return np.asarray(arms.T @ (digit.motor_mass[:, None] * arms))

@@ -1,8 +1,8 @@
-"""The whole hand as one tree of links: poses, mass matrix and static torque of all joints together.
+"""Model of the whole hand as one tree of links: poses, mass matrix and static torque of all joints together.
 
-A digit may be mounted on the last link of another digit, such as fingers on a wrist. The functions
-of ``dynamics`` and ``kinematics`` are for one digit on a base at rest. Here the motion of all
-carriers is included.
+A digit may be mounted on the last link of another digit, such as a finger on a wrist. The functions
+of ``dynamics`` and ``kinematics`` are for one digit on a base at rest. This model includes the
+motion of the digits that carry others.
 """
 
 from collections.abc import Sequence
@@ -23,11 +23,11 @@ class HandTree:
 
     Attributes:
         digits: models of the digits, in file order.
-        table: (rigid_body.ROWS, J) frames and bodies of the links.
-        parent: (J,) joint before each joint, -1 for the palm.
-        gravity: (3,) in the palm frame [m/s2].
-        stiffness: (J,) return springs [N m/rad].
-        preload: (J,) preload of the springs [rad].
+        table: (rigid_body.ROWS, J) frames and inertial properties of the links, for ``rigid_body``.
+        parent: (J,) index of the joint before each joint, -1 for the palm.
+        gravity: (3,) gravitational acceleration in the palm frame [m/s2].
+        stiffness: (J,) stiffness of the return spring of each joint [N m/rad].
+        preload: (J,) preload of the return spring of each joint [rad].
     """
 
     digits: tuple[DigitModel, ...]
@@ -42,8 +42,9 @@ class HandTree:
         """Build the tree of a hand.
 
         Args:
-            hand: description.
-            digits: models of its digits, in file order. Without them the models are built.
+            hand: description of the hand.
+            digits: models of the hand's digits, in file order. If there are none, they are built
+                here.
         """
         digits = tuple(digits) or DigitModel.all_of(hand)
         parents = [
@@ -60,11 +61,11 @@ class HandTree:
         )
 
     def poses(self, q: Values) -> Array:
-        """Return the poses of all links at joint angles q (J,) [rad], (J, rigid_body.POSE)."""
+        """Return the poses of all links, (J, rigid_body.POSE), at joint angles q (J,) [rad]."""
         return rigid_body.link_poses(self.table, self.parent, np.asarray(q, dtype=np.float64))
 
     def points(self, q: Values) -> tuple[Array, ...]:
-        """Return for each digit its joints and its tip, (n + 1, 3) in the palm frame [m]."""
+        """Return the positions of the joints and the tip of each digit, (n + 1, 3) in the palm frame [m]."""
         poses = self.poses(q)
         result = []
         for digit in self.digits:
@@ -74,16 +75,16 @@ class HandTree:
         return tuple(result)
 
     def mass_matrix(self, q: Values) -> Array:
-        """Return the mass matrix of all joints with armature, (J, J) [kg m2]."""
+        """Return the mass matrix of all joints, including their armature, (J, J) [kg m2]."""
         return rigid_body.inertia_matrix(self.table, self.parent, np.asarray(q, dtype=np.float64))
 
     def inverse_dynamics(self, q: Values, dq: Values, ddq: Values) -> Array:
-        """Return the joint torques of inertia and weight, (J,) [N m], see ``dynamics.inverse_dynamics``."""
+        """Return the joint torques that a motion needs against inertia and weight, (J,) [N m]."""
         rows = (np.asarray(values, dtype=np.float64) for values in (q, dq, ddq))
         return rigid_body.rigid_body_torques(self.table, self.parent, self.gravity, *rows)
 
     def static_torque(self, q: Values) -> Array:
-        """Return the joint torques that hold the hand at rest: gravity and springs, (J,) [N m]."""
+        """Return the joint torques that hold the hand at rest against weight and return springs, (J,) [N m]."""
         angles = np.asarray(q, dtype=np.float64)
         weight = rigid_body.weight_torques(self.table, self.parent, self.gravity, angles)
         return np.asarray(weight + self.stiffness * (angles + self.preload))

@@ -1,4 +1,7 @@
-"""Meshes of a hand as attachments of a log, so that a viewer of the log shows them on any machine."""
+"""Mesh files of a hand, stored in a log as attachments.
+
+Any machine can show the meshes without the original files.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,17 +13,20 @@ from handctl.hand.formats.mesh_file import mesh_triangles
 from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, mesh_sizes, meshes_of, read_meshes
 
 MAX_BYTES = 4 << 20
-"""Largest total size of the mesh files in a log [bytes]. Larger meshes are not stored."""
+"""Largest total size of the mesh files in a log [bytes].
+
+If the files of a hand exceed the limit, the log stores no mesh file.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class AttachedMesh:
-    """Mesh of a link with the content of its file.
+    """Mesh of a link, together with the content of the mesh file.
 
     Attributes:
         mesh: position of the mesh on a link of the hand.
-        data: content of the file.
-        triangles: (n, 3, 3) in the frame of the link [m].
+        data: content of the mesh file.
+        triangles: (n, 3, 3) three corners of each triangle in the frame of the link [m].
     """
 
     mesh: LinkMesh
@@ -29,15 +35,15 @@ class AttachedMesh:
 
 
 def attachment_name(file: str) -> str:
-    """Return the name of the attachment with a mesh file."""
+    """Return the name of the attachment that holds a mesh file."""
     return f"mesh/{file}"
 
 
 def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[str]]:
-    """Return the attachments with the meshes of a hand, and one line for each mesh that is left out.
+    """Return the mesh files of a hand as attachments by name, and a line about each mesh that is left out.
 
     Args:
-        hand: description.
+        hand: description of the hand.
         folder: folder of the hand file.
     """
     total = sum(mesh_sizes(hand, folder).values())
@@ -52,11 +58,11 @@ def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[s
 
 
 def attached_meshes(hand: Hand, attachments: Mapping[str, bytes]) -> tuple[dict[str, AttachedMesh], list[str]]:
-    """Return the meshes in a log by link, and the links whose mesh is missing or damaged.
+    """Return the meshes in a log by name of their link, and the links whose mesh is missing or damaged.
 
     Args:
-        hand: description in the log.
-        attachments: content of all attachments, by name.
+        hand: description of the hand in the log.
+        attachments: content of all attachments of the log, by name.
     """
     found: dict[str, AttachedMesh] = {}
     missing = []

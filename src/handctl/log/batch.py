@@ -1,4 +1,4 @@
-"""Batches of ticks: the records of many ticks as arrays."""
+"""Batches of ticks. A batch holds the records of many ticks as arrays."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -29,24 +29,25 @@ FIXED_DTYPE = np.dtype(
         "itemsize": FIXED.size,
     }
 )
-"""Layout of the part of a Tick message with constant length.
+"""Layout of the first part of a Tick message, which has a constant length.
 
-The hash is stored as raw bytes (V8).
+The hash of the controller state is stored as raw bytes (V8).
 """
 _MAX_CACHED_TAILS = 256
-"""Largest number of cached message ends (phase, io events, requests, events).
+"""Largest number of message ends in the cache. The end of a Tick message has phase, io events, requests and events.
 
-A log without events has a single message end per phase.
+In a log without events, all ticks of one phase have the same message end.
 """
 
 
 class FrameBatch(NamedTuple):
-    """Frames of many ticks, in the order of the ticks.
+    """CAN frames of many ticks, in the order of the ticks.
 
     Attributes:
-        frames: (m,) FRAME_DTYPE.
+        frames: (m,) the frames, as FRAME_DTYPE.
         tick: (m,) index of the tick of each frame.
-        long_data: bytes beyond the eighth of each longer frame, in order.
+        long_data: payload bytes after the eighth of all frames longer than eight bytes, in the
+            order of the frames.
     """
 
     frames: NDArray[np.void]
@@ -64,8 +65,9 @@ class Batch(NamedTuple):
         mode, action: (n,) uint8.
         phases: grasp phase of each tick.
         numbers: (n, columns) telemetry in the order of Telemetry.packed.
-        received, sent: the frames.
-        ticks_with_events: decoded record of each tick with events, requests or io events, by index.
+        received, sent: the CAN frames received and sent.
+        ticks_with_events: decoded record of each tick with events, requests or io events, by index
+            of the tick.
     """
 
     messages: list[bytes]
@@ -82,9 +84,9 @@ class Batch(NamedTuple):
 
 
 def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
-    """Return the telemetry fields of a row with `width` columns.
+    """Return the telemetry fields that a row of `width` columns holds.
 
-    Logs from earlier versions lack the last fields.
+    Logs that earlier versions of handctl recorded lack the last fields.
 
     Args:
         header: header of the run.
@@ -95,7 +97,7 @@ def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
 
 
 def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
-    """Return the number of columns of the given fields."""
+    """Return the number of columns that the given telemetry fields need."""
     return sum(len(header.axis(TELEMETRY_AXES[name])) for name in fields)
 
 
@@ -117,12 +119,12 @@ def columns_of_fields(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIE
 
 @dataclass(slots=True)
 class _FrameCollector:
-    """Collector for the frames of one direction, tick by tick.
+    """Collector for the CAN frames of one direction (received or sent), tick by tick.
 
     Attributes:
         parts: frames of each tick as FRAME_DTYPE bytes.
         counts: number of frames of each tick.
-        long_parts: payload bytes after the eighth.
+        long_parts: payload bytes after the eighth of each longer frame.
     """
 
     parts: list[bytes] = field(default_factory=list)
@@ -136,7 +138,7 @@ class _FrameCollector:
 
 
 class Batcher:
-    """Collector for tick records, until a batch is taken.
+    """Collector for tick records. Method `take` returns the collected ticks as a batch.
 
     Attributes:
         misshapen: number of ticks whose telemetry does not have the shape described in the header.
@@ -169,9 +171,9 @@ class Batcher:
         return len(self._messages)
 
     def add(self, body: bytes) -> int:
-        """Add one tick and return its t_ns.
+        """Add one tick, and return the time of the tick since the start of the run [ns].
 
-        Telemetry of a wrong shape becomes NaN and is counted in `misshapen`.
+        Telemetry of a wrong shape becomes NaN, and `misshapen` counts the tick.
 
         Args:
             body: body of a tick record, see `handctl.log.record`.
@@ -189,7 +191,7 @@ class Batcher:
         return int(FIXED.unpack_from(message, 4)[1])
 
     def _add_frames(self, message: bytes) -> None:
-        """Append the frames of a Tick message to both directions, and process the rest of the message."""
+        """Append the received and the sent frames of a Tick message, and process the rest of the message."""
         parts = message_layout(message)
         for direction, part in ((self._received, parts.received), (self._sent, parts.sent)):
             direction.parts.append(message[part])
@@ -199,7 +201,7 @@ class Batcher:
         self._add_tail(message, parts.tail)
 
     def _add_long(self, data: bytes) -> None:
-        """Distribute the payload bytes after the eighth to received and sent frames."""
+        """Divide the payload bytes after the eighth between the received and the sent frames of the tick."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
         # The message has the bytes of all received frames first, then the bytes of all sent frames.
         split = int(np.maximum(lengths - 8, 0).sum())
@@ -209,14 +211,14 @@ class Batcher:
     def _add_tail(self, message: bytes, at: int) -> None:
         """Append the grasp phase in a Tick message.
 
-        A tick with events, requests or io events is decoded and kept.
+        If the tick has events, requests or io events, keep its decoded record as well.
 
         Args:
             message: the Tick message.
             at: start of the phase in the message [bytes].
         """
-        # Nearly all ticks have no event, and their tails (phase, empty lists) are equal. The cache
-        # avoids decoding the CDR text of each tail.
+        # Nearly all ticks have no event. Their tails consist of the phase and empty lists, so ticks
+        # of one phase have equal tails. The cache avoids decoding the CDR text of each tail.
         tail = message[at:]
         phase = self._phase_of_tail.get(tail)
         if phase is None:
@@ -229,8 +231,8 @@ class Batcher:
         self._phases.append(phase)
 
     def take(self) -> Batch:
-        """Return the batch of all ticks since the last call, and begin another batch."""
-        # Four bytes of CDR encapsulation precede the constant part.
+        """Return the batch of all ticks added since the last call, and begin another batch."""
+        # Four bytes of CDR encapsulation precede the part of constant length in each message.
         fixed = np.frombuffer(b"".join([message[4 : 4 + FIXED.size] for message in self._messages]), FIXED_DTYPE)
         numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(len(fixed), self._width)
         batch = Batch(

@@ -1,11 +1,12 @@
-"""CDR, the encoding of ROS 2 messages: writer, reader, and templates for messages of constant layout.
+"""Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages of constant layout.
 
-Encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option bytes), then the fields
-in order. A number of n bytes is aligned to a multiple of n, counted from the byte after the
-encapsulation. A string is its length as uint32 with the closing NUL counted, the bytes, and the
-NUL. A sequence is its length as uint32 and the elements. An empty sequence is only its length.
+A message begins with the encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option
+bytes). The fields follow in order. A number of n bytes is aligned to a multiple of n, counted from
+the byte after the encapsulation. A string is stored as the length (uint32, with the closing NUL
+counted), the bytes, and the NUL. A sequence is stored as the length (uint32) and the elements. An
+empty sequence is stored as the length alone.
 
-Source: OMG CORBA 3.0, section 15.3, as rosbags and mcap-ros2-support implement it.
+Source: OMG CORBA 3.0, section 15.3, as implemented by the packages rosbags and mcap-ros2-support.
 """
 
 import struct
@@ -19,20 +20,20 @@ _I64 = struct.Struct("<q")
 
 
 class CdrWriter:
-    """Writer of CDR values, which are aligned and appended to `data`."""
+    """Writer of CDR values. Each value is aligned and appended to `data`."""
 
     def __init__(self, start: int = 0) -> None:
         """Start an empty message, or a part of one.
 
         Args:
-            start: offset of the first byte in the message body, for a part to be appended to other
-                parts.
+            start: offset of the first byte in the message body. A part that follows other parts of
+                a message has an offset above 0.
         """
         self.data = bytearray()
         self._start = start
 
     def align(self, size: int) -> None:
-        """Append zeros up to a multiple of `size` bytes."""
+        """Append zeros until the length is a multiple of `size` bytes."""
         # In Python -n % size is the distance from n up to the next multiple of size.
         self.data += bytes(-(self._start + len(self.data)) % size)
 
@@ -51,7 +52,10 @@ class CdrWriter:
         self.put("I", number)
 
     def text(self, value: str) -> None:
-        """Append a string. A lone surrogate is escaped because other readers cannot decode it."""
+        """Append a string.
+
+        A lone surrogate is escaped, because other CDR readers cannot decode lone surrogates.
+        """
         raw = value.encode("utf-8", "backslashreplace")
         self.count(len(raw) + 1)
         self.data += raw + b"\0"
@@ -63,19 +67,19 @@ class CdrWriter:
             self.text(value)
 
     def message(self) -> bytes:
-        """Return the whole message with its encapsulation header."""
+        """Return the whole message with the encapsulation header."""
         return ENCAPSULATION + bytes(self.data)
 
 
 class CdrReader:
-    """Reader of aligned CDR values.
+    """Reader of the aligned values of a CDR message.
 
     Raises:
-        ValueError: the message ends before the value (from every method).
+        ValueError: the message ends before the end of the value. Every method can raise this error.
     """
 
     def __init__(self, message: bytes) -> None:
-        """Start after the encapsulation header.
+        """Start reading a message after the encapsulation header.
 
         Raises:
             ValueError: the message is not little-endian plain CDR.
@@ -111,7 +115,8 @@ class CdrReader:
     def text(self) -> str:
         """Read a string."""
         size = self.count()
-        # The length counts the closing NUL. An empty string of some writers has length 0.
+        # The length includes the closing NUL. Some writers store an empty string with length 0,
+        # without a NUL.
         return self.take(size)[: max(size - 1, 0)].decode()
 
 
@@ -122,7 +127,8 @@ class Template:
     Attributes:
         data: the message with zeros in all variable fields.
         stamps: offsets of the 8-byte time stamps.
-        places: (offset, numpy format, number of values) of every other variable field, by name.
+        places: (offset, numpy format, number of values) of every variable field except the time
+            stamps, by name.
     """
 
     data: bytes
@@ -140,19 +146,19 @@ class TemplateWriter(CdrWriter):
         self._places: dict[str, tuple[int, str, int]] = {}
 
     def stamp(self) -> None:
-        """Append a variable builtin_interfaces/Time."""
+        """Append a builtin_interfaces/Time as a variable field."""
         self.align(4)
         # Offsets count from the start of the message. The encapsulation is 4 bytes long.
         self._stamps.append(len(self.data) + 4)
         self.data += bytes(8)
 
     def header(self, frame_id: str = "") -> None:
-        """Append a std_msgs/Header with a constant frame_id."""
+        """Append a std_msgs/Header with a variable stamp and a constant frame_id."""
         self.stamp()
         self.text(frame_id)
 
     def place(self, name: str, code: str, number: int = 1) -> None:
-        """Append a variable field.
+        """Append a variable field of one or more numbers.
 
         Args:
             name: name of the field.
@@ -166,7 +172,10 @@ class TemplateWriter(CdrWriter):
         self.data += bytes(size * number)
 
     def floats(self, name: str, number: int) -> None:
-        """Append a float64 sequence of constant length. An empty sequence has no variable field."""
+        """Append a float64 sequence of constant length as a variable field.
+
+        An empty sequence adds no variable field.
+        """
         self.count(number)
         if number:
             self.place(name, "<f8", number)

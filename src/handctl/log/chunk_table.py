@@ -2,11 +2,11 @@
 
 A log of one day has about 350,000 chunks.
 
-MCAP requires an index of all chunks behind the last chunk. With the records of the mcap package the
-index would need 2 KB of memory per chunk, or 30 MB per hour. This table needs 64 bytes per chunk,
-because only few different arrangements of message indexes occur, and each arrangement is stored
-once. Full blocks are compressed to a third of their size, because successive chunks have similar
-numbers.
+An MCAP file must have an index of all chunks after the last chunk. With records of the mcap
+package, this index would need 2 KB of memory for each chunk, or 30 MB per hour. This table needs 64
+bytes for each chunk. Only few different arrangements of message indexes occur, and the table stores
+each of them once. Compression reduces full blocks of the table to a third of their size, because
+successive chunks have similar numbers.
 """
 
 import struct
@@ -19,9 +19,9 @@ from mcap.records import ChunkIndex
 _CHUNK = struct.Struct("<QQQQQQQQ")
 """Layout of a row: the fields of ChunkEntry, then the number of the arrangement of message indexes."""
 _CHANNEL = struct.Struct("<HQ")
-"""Layout of an arrangement: channel id, offset of the channel's message index from the chunk's end."""
+"""Layout of one channel in an arrangement: channel id, distance from the chunk's end to the channel's message index."""
 BLOCK_CHUNKS = 512
-"""Number of chunks per compressed block."""
+"""Number of chunks in one compressed block of the table."""
 
 
 class ChunkEntry(NamedTuple):
@@ -60,7 +60,7 @@ class ChunkTable:
         """Append a chunk to the table.
 
         Args:
-            chunk: the chunk.
+            chunk: position, size and times of the chunk.
             index_offsets: distance from the chunk's end to each channel's message index [bytes], by
                 channel.
         """
@@ -72,7 +72,7 @@ class ChunkTable:
             self._latest.clear()
 
     def indexes(self) -> Iterator[ChunkIndex]:
-        """Yield the ChunkIndex record for each chunk."""
+        """Yield the MCAP ChunkIndex record of each chunk."""
         layouts = [tuple(_CHANNEL.iter_unpack(layout)) for layout in self._layouts]
         for *fields, layout in self._stored_rows():
             chunk = ChunkEntry(*fields)
@@ -90,6 +90,6 @@ class ChunkTable:
             )
 
     def _stored_rows(self) -> Iterator[tuple[int, ...]]:
-        """Yield the stored numbers of each chunk."""
+        """Yield the stored row of numbers of each chunk."""
         for block in (*map(zlib.decompress, self._packed), bytes(self._latest)):
             yield from _CHUNK.iter_unpack(block)

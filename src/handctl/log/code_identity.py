@@ -1,6 +1,7 @@
-"""Identity of the control code.
+"""Identity of the control code: a hash over all sources of this code.
 
-A version number identifies a release. The hash also identifies a state between two releases.
+A version number identifies only a release. The hash also identifies each state of the code between
+two releases.
 """
 
 import functools
@@ -8,14 +9,14 @@ import hashlib
 from pathlib import Path
 
 CONTROL_PACKAGES = ("hand", "drives", "safety", "core", "programs", "controller")
-"""Packages whose code runs in a re-execution of a log."""
+"""Packages of handctl whose code runs when a log is re-executed."""
 UNKNOWN = "?"
-"""Code identity reported for a log that does not contain one."""
+"""Code identity reported for a log without a code identity."""
 
 
 @functools.cache
 def code_identity() -> str:
-    """Return the first twelve hexadecimal digits of a hash over the sources of the control packages."""
+    """Return the first twelve hexadecimal digits of the SHA-256 hash over the sources of the control packages."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     # Sorted paths and NUL separators make the hash depend only on names and contents, not on the

@@ -1,9 +1,10 @@
-"""The MCAP container.
+"""Writer of MCAP container files.
 
-Messages are written in blocks, because one call per message is expensive in Python.
+The writer receives messages in blocks, because one Python call for each message would take too
+long.
 
-The mcap package writes the rare records. This module writes chunks and message indexes itself,
-because these dominate the time:
+The mcap package encodes the records that occur rarely. This module encodes chunks and message
+indexes itself, because these take most of the time. Their layouts:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
@@ -45,13 +46,13 @@ from handctl.log.chunk_table import ChunkEntry, ChunkTable
 
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE = struct.Struct("<BQHIQQ")
-"""Start of a Message record: opcode, length, channel, sequence, log time [ns], publish time [ns]."""
+"""Layout of the start of a Message record: opcode, length, channel, sequence, log time [ns], publish time [ns]."""
 _RECORD = struct.Struct("<BQ")
-"""Start of every record: opcode, length."""
+"""Layout of the start of every record: opcode, length."""
 _CHUNK = struct.Struct("<QQQII3sQ")
-"""Start of a Chunk record after `_RECORD`, with the compression "lz4"."""
+"""Layout of the fields of a Chunk record after `_RECORD`, for the compression "lz4"."""
 _INDEX = struct.Struct("<BQHI")
-"""Start of a MessageIndex record: opcode, length, channel, size of the entries."""
+"""Layout of the start of a MessageIndex record: opcode, length, channel, size of the entries."""
 _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
@@ -59,9 +60,9 @@ class MessageBlock(NamedTuple):
     """Block of consecutive Message records of one channel.
 
     Attributes:
-        channel: channel id.
-        data: the records, each with its Message header.
-        log_times: (n,) uint64 [ns].
+        channel: id of the channel.
+        data: the records. Each begins with the layout `MESSAGE`.
+        log_times: (n,) uint64, log time of each message [ns].
         offsets: (n,) start of each record within data [bytes].
     """
 
@@ -72,7 +73,7 @@ class MessageBlock(NamedTuple):
 
 
 def records_as_bytes(records: Iterable[McapRecord]) -> bytes:
-    """Return the records as bytes."""
+    """Return MCAP records as bytes."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -81,7 +82,10 @@ def records_as_bytes(records: Iterable[McapRecord]) -> bytes:
 
 @dataclass(slots=True)
 class _Summary:
-    """Contents of the summary section, collected while the file is written."""
+    """Contents of the file's summary section.
+
+    The contents are collected while the file is written.
+    """
 
     schemas: list[McapRecord] = field(default_factory=list)
     channels: list[McapRecord] = field(default_factory=list)
@@ -100,15 +104,16 @@ class Container:
         complete_size: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: a write fails (from every writing method). After this error only `cut_back` may be
-            called.
+        OSError: a write fails. Every writing method can raise this error. After such an error, only
+            `cut_back` may be called.
     """
 
     def __init__(self, descriptor: int) -> None:
-        """Write the header of the file.
+        """Write the header of the MCAP file.
 
         Args:
-            descriptor: file descriptor open for writing, at its start.
+            descriptor: descriptor of a file that is open for writing, positioned at the start of
+                the file.
         """
         self._fd = descriptor
         self._crc = 0
@@ -119,25 +124,26 @@ class Container:
 
     @property
     def messages(self) -> int:
-        """Return the number of messages written so far."""
+        """Return the number of messages written to the file so far."""
         return self._summary.counts.total()
 
     def _write_bytes(self, data: bytes) -> int:
-        """Write all bytes, and return the offset in the file at which they start."""
+        """Write all bytes, and return the offset of the first byte in the file."""
         start = self._at
         view = memoryview(data)
         while view:
-            # A write may be short, for example on a nearly full disk.
+            # One write call may write only a part of the bytes, for example on a nearly full disk.
             written = os.write(self._fd, view)
             self._at += written
             view = view[written:]
         self._crc = zlib.crc32(data, self._crc)
-        # This is set only after the last byte, so that `cut_back` removes an incomplete record.
+        # The complete size grows only after the last byte is written. So `cut_back` can remove an
+        # incomplete record.
         self.complete_size = self._at
         return start
 
     def cut_back(self) -> None:
-        """Remove the remains of a failed write after the last complete record."""
+        """Cut the file after the last complete record, to remove the remains of a failed write."""
         os.ftruncate(self._fd, self.complete_size)
         os.lseek(self._fd, self.complete_size, os.SEEK_SET)
         self._at = self.complete_size
@@ -169,9 +175,9 @@ class Container:
         schemas: Sequence[Schema] = (),
         channels: Sequence[Channel] = (),
     ) -> None:
-        """Write one compressed chunk and its message indexes.
+        """Write a compressed chunk and the message indexes of the chunk.
 
-        New schemas and channels are written at the start of the chunk.
+        The records of new schemas and channels are written at the start of the chunk.
         """
         head = records_as_bytes([*schemas, *channels])
         content = b"".join([head, *(block.data for block in blocks)])
@@ -195,14 +201,14 @@ class Container:
         """Write the summary and the footer of the file."""
         self._write_bytes(records_as_bytes([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)
-        # The CRC of the summary covers the footer up to its own field: opcode, length 20, and both
-        # offsets.
+        # The CRC covers the summary section and those fields of the footer that precede the CRC:
+        # opcode, length 20, and both offsets.
         fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
         footer = records_as_bytes([Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))])
         self._write_bytes(body + footer + MAGIC)
 
     def _statistics(self) -> Statistics:
-        """Return the Statistics record."""
+        """Return the Statistics record of the file."""
         summary = self._summary
         return Statistics(
             attachment_count=len(summary.attachments),
@@ -217,7 +223,7 @@ class Container:
         )
 
     def _summary_section(self, start: int) -> tuple[bytes, int]:
-        """Return the summary section and the offset of its SummaryOffset records in the file.
+        """Return the summary section, and the offset of the SummaryOffset records in the file.
 
         Args:
             start: offset of the section in the file [bytes].
@@ -242,7 +248,7 @@ class Container:
 
 
 def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
-    """Return the message indexes to write after a chunk, and the offset of each channel's index.
+    """Return the message indexes to write after a chunk, and the offset of each channel's index by channel id.
 
     Args:
         blocks: the messages of the chunk.

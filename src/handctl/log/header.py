@@ -1,4 +1,4 @@
-"""Header of a run: everything known before the first tick."""
+"""Header of a run: all data of the run known before the first tick."""
 
 import json
 import tomllib
@@ -20,35 +20,35 @@ PERIOD_RANGE_NS = (10_000, 10_000_000_000)
 LATEST_NS = 1 << 62
 """Latest accepted time in a log [ns].
 
-The sum of two such times fits into 64 bits. As UNIX time the limit is in the year 2116.
+The sum of two accepted times fits into 64 bits. As a UNIX time, the limit lies in the year 2116.
 """
 NAME_LISTS = ("joints", "tendons", "motors", "digits", "buses")
-"""Keys of a header whose value is a list of names."""
+"""Keys of the header values that are lists of names."""
 MAX_NAMES = 1000
-"""Largest length of a list of names."""
+"""Largest number of names in one list of a header."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
     """Header of a run.
 
-    The header is written first, so every log has the header, however the run ends.
+    The header is the first part of a log file. Every log has a header, no matter how the run ends.
 
     Attributes:
         hand_toml: the resolved description of the hand.
-        joints, tendons, motors, digits, buses: names in the order of the hand file.
+        joints, tendons, motors, digits, buses: names of these parts in the order of the hand file.
         period_ns: period of the tick [ns].
-        offset_ns: UNIX time at t = 0 [ns], one per run. 0 in a deterministic run.
+        offset_ns: UNIX time at t = 0 of the run [ns]. A deterministic run has 0.
         metadata: content of the metadata record `handctl`: version, bus, seed, operator's note, and
             others.
-        gains: gains at the start, by name. Content of the metadata record `handctl.gains` and of
-            the first parameter event.
-        attachments: content of attached files, by name, such as hand.urdf, gains.toml,
-            calibration.toml, task.toml, initial_state.
-        wall: data about the machine and the wall clock, content of the metadata record
-            `handctl.wall`.
-        deterministic: True for a lockstep run. No tick is dropped and no clock is read, so that
-            equal runs write equal logs.
+        gains: gains at the start of the run, by name. The metadata record `handctl.gains` and the
+            first parameter event contain them.
+        attachments: content of the files attached to the log, by file name, such as hand.urdf,
+            gains.toml, calibration.toml, task.toml, initial_state.
+        wall: data about the machine and the wall clock. The metadata record `handctl.wall` contains
+            them.
+        deterministic: True for a lockstep run. The recorder then drops no tick and reads no clock.
+            Equal runs write equal logs.
     """
 
     hand_toml: str
@@ -67,12 +67,12 @@ class RunHeader:
 
     @classmethod
     def of_hand(cls, hand_toml: str, period_ns: int, **more: object) -> Self:
-        """Return a header with all names from the hand's description.
+        """Return a header with the names of joints, tendons, motors, digits and buses from the hand's description.
 
         Args:
-            hand_toml: the description.
-            period_ns: period of the tick [ns].
-            more: values of the other attributes.
+            hand_toml: the resolved description of the hand.
+            period_ns: period of the control loop, the time from tick to tick [ns].
+            more: values of the other attributes of the header.
         """
         hand = tomllib.loads(hand_toml)
         joints = tuple(f"{d['name']}_j{i + 1}" for d in hand["digit"] for i in range(len(d["link_length_m"])))
@@ -95,15 +95,15 @@ class RunHeader:
         metadata: Mapping[str, dict[str, str]],
         attachments: dict[str, bytes],
     ) -> Self:
-        """Return a header from the records of a log, after a check of every value used in arithmetic.
+        """Return a header from the records of a log, after a check of every value with which the program calculates.
 
         Args:
-            record: metadata record `handctl.run`, a JSON text by name.
-            metadata: all metadata records.
-            attachments: all attachments.
+            record: metadata record `handctl.run`, with a JSON text for each name.
+            metadata: all metadata records of the log.
+            attachments: all attachments of the log.
 
         Raises:
-            ValueError: a value has the wrong type, or is out of range.
+            ValueError: a value has the wrong type or is out of range.
             KeyError: a value is missing.
         """
         run = {name: json.loads(text) for name, text in record.items()}
@@ -122,10 +122,10 @@ class RunHeader:
 
     @property
     def truth_offset_ns(self) -> int:
-        """Return the simulator's time at t = 0 of the run [ns], 0 for a run outside lockstep.
+        """Return the simulator's time at t = 0 of the run [ns]. The time is 0 for a run outside lockstep.
 
         Raises:
-            LogError: the value in the log is not such a time.
+            LogError: the value in the log is not a time.
         """
         text = self.metadata.get(TRUTH_OFFSET_KEY, "0")
         if not (text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= LATEST_NS):
@@ -133,7 +133,7 @@ class RunHeader:
         return int(text)
 
     def axis(self, name: str) -> tuple[str, ...]:
-        """Return the names along a telemetry axis: joint, tendon, motor or digit."""
+        """Return the names of the elements of a telemetry axis: joint, tendon, motor or digit."""
         return {
             "joint": self.joints,
             "tendon": self.tendons,
@@ -142,7 +142,7 @@ class RunHeader:
         }[name]
 
     def dump(self) -> bytes:
-        """Encode the header for the pipe as one line of JSON, followed by the attachments in order."""
+        """Encode the header for the pipe to the recorder: one line of JSON, then the attachments in order."""
         sizes = {name: len(data) for name, data in self.attachments.items()}
         fields = asdict(self) | {"attachments": sizes}
         for table in ("metadata", "gains", "wall"):
@@ -164,22 +164,22 @@ class RunHeader:
 
 
 def _checked_integer(key: str, value: Any, low: int, high: int) -> int:
-    """Return an integer of a log's header after a check of type and range.
+    """Return an integer from a log's header, after a check of type and range.
 
     Raises:
         ValueError: the value is not a whole number from `low` to `high`.
     """
-    # `isinstance` would accept True, which JSON distinguishes from 1.
+    # `isinstance(value, int)` would accept True, which JSON distinguishes from 1.
     if type(value) is not int or not low <= value <= high:
         raise ValueError(f"{key} is {_brief_text(value)}, not a whole number from {low} to {high}")
     return value
 
 
 def _checked_names(key: str, value: Any) -> tuple[str, ...]:
-    """Return a list of names of a log's header after a check.
+    """Return a list of names from a log's header, after a check of each name.
 
     Raises:
-        ValueError: the value is not such a list.
+        ValueError: the value is not a list of valid names.
     """
     if not isinstance(value, list) or len(value) > MAX_NAMES:
         raise ValueError(f"{key} is {_brief_text(value)}, not a list of at most {MAX_NAMES} names")

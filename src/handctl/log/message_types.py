@@ -1,9 +1,10 @@
-"""Message types in the log, as ROS 2 interface definitions.
+"""Definitions of the message types in a log, written as ROS 2 interface definitions.
 
-The names and fields are part of the log format and must not change.
+The names and fields of these types are part of the log format, and must not change.
 
-Source: the fields are defined in the ROS 2 interface packages common_interfaces, rcl_interfaces,
-geometry2, can_msgs, ros2_socketcan_msgs and pal_statistics_msgs. `handctl_msgs` belongs to handctl.
+Source of the fields: the ROS 2 interface packages common_interfaces, rcl_interfaces, geometry2,
+can_msgs, ros2_socketcan_msgs and pal_statistics_msgs. The types of `handctl_msgs` are defined here
+alone.
 """
 
 from handctl.core.types import Mode
@@ -16,12 +17,12 @@ PHASES = {
         "silent", "inventory", "ready", "arming", "relax", "disarm", "cut", "done",
     ))
 }  # fmt: skip
-"""Number of each grasp phase. A phase with a different name in a task is logged as OTHER_PHASE."""
+"""Number of each grasp phase. A phase of a task with any other name is logged as OTHER_PHASE."""
 OTHER_PHASE = 255
 
 
 def _constant_lines(values: dict[str, int]) -> str:
-    """Return the definitions of constants in a message type, one line per constant."""
+    """Return the definitions of a message type's constants, with a line for each constant."""
     return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
 
 
@@ -103,14 +104,15 @@ _SEPARATOR = "=" * 80 + "\n"
 
 
 def _collect_dependencies(name: str, types: dict[str, None]) -> None:
-    """Collect the types used in a definition, depth first, without duplicates.
+    """Collect the message types that a definition uses, depth first, without duplicates.
 
     Args:
         name: name of the message type.
-        types: the types so far, in order. Extended in place.
+        types: the types collected so far, in order. The function adds further types.
     """
     for line in DEFINITIONS[name].splitlines():
-        # "uint8[<=64] data": type before the bracket, then the field name.
+        # In a line such as "uint8[<=64] data", the type stands before the bracket, and the field
+        # name after it.
         field_type = line.split(" ")[0].split("[")[0]
         if field_type in DEFINITIONS and field_type not in types:
             types[field_type] = None
@@ -118,7 +120,7 @@ def _collect_dependencies(name: str, types: dict[str, None]) -> None:
 
 
 def schema_text(name: str) -> str:
-    """Return the definition of a type and of all types used in it, in MCAP's ros2msg encoding.
+    """Return the definitions of a message type and of all types used in it, in MCAP's ros2msg encoding.
 
     Args:
         name: message type, for example "sensor_msgs/JointState".
@@ -129,6 +131,6 @@ def schema_text(name: str) -> str:
 
 
 def schema_name(name: str) -> str:
-    """Return the name of a type in ROS 2 notation, such as "sensor_msgs/msg/JointState"."""
+    """Return the name of a message type in ROS 2 notation, such as "sensor_msgs/msg/JointState"."""
     package, type_name = name.split("/")
     return f"{package}/msg/{type_name}"

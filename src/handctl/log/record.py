@@ -1,25 +1,25 @@
 """Records that the controller writes into the pipe to the recorder.
 
-The record of a tick is a `handctl_msgs/Tick` message, encoded as in the log, followed by the
-telemetry.
+The record of a tick contains a `handctl_msgs/Tick` message, encoded as in the log, and the
+telemetry of the tick.
 
 All numbers are little-endian.
 
-Record: length u32 (without these 8 bytes), kind u32, body.
+Record: length of the body u32, kind u32, body.
 
 Body of a tick: size of the Tick message u32, lengths of the telemetry axes joint, tendon, motor,
-digit u16 each, the Tick message, the telemetry float64 in order.
+digit u16 each, the Tick message, the telemetry as float64 in the order of the fields.
 
 Tick message:
     CDR encapsulation, 4 bytes.
     k i64, t_ns i64, late_ns i64, state hash 8 bytes, mode u8, action u8, padding 2 bytes.
     Number of received frames u32, received frames.
-    Number of sent frames u32, padding 4 bytes if there are any, sent frames.
+    Number of sent frames u32, padding of 4 bytes if there are sent frames, sent frames.
     Number of long bytes u32, long bytes, padding to 4 bytes.
     Phase, io events, requests, events.
 
 Frame, 24 bytes: t_ns i64, can_id u32, flags u16, bus u8, length u8, data 8 bytes. The long bytes
-are the bytes beyond the eighth of all frames, in order.
+are the payload bytes after the eighth of all frames, in the order of the frames.
 """
 
 import functools
@@ -51,63 +51,63 @@ HEADER = 1
 TICK = 2
 """Kind of the record of one tick."""
 END = 3
-"""Kind of the record with the reason of the end, as JSON."""
+"""Kind of the record with the reason for the end of the run, as JSON."""
 SNAPSHOT = 4
-"""Kind of the record with the state after a tick."""
+"""Kind of the record with the controller's state after a tick."""
 FILE = 5
-"""Kind of the record before the header: path of the log, and free space at which it ends early [bytes], as JSON."""
+"""Kind of the first record, as JSON: path of the log, and free disk space at which the log ends early [bytes]."""
 SNAPSHOT_HEAD = struct.Struct("<qq")
 """Layout of the start of a snapshot record: number and time [ns] of the tick.
 
-The state after this tick follows.
+The controller's state after this tick follows.
 """
 
 SIZES = struct.Struct("<IHHHH")
-"""Layout of the start of a tick's body: size of the Tick message, lengths of the telemetry axes."""
+"""Layout of the start of the body of a tick's record: size of the Tick message, lengths of the telemetry axes."""
 FIXED = struct.Struct("<qqq8sBB2xI")
 """Layout of a Tick message's first part: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
 FRAME_SIZE = SHORT_RECORD_BYTES
-"""Size of a frame in a Tick message [bytes]: the first part of its record, with eight data bytes."""
+"""Size of a CAN frame in a Tick message [bytes]: the first part of a RECORD, with eight data bytes."""
 _BEGINNING = np.dtype(f"V{SHORT_RECORD_BYTES}")
-"""numpy type of a frame as raw bytes."""
+"""numpy type of a frame in a Tick message, as raw bytes."""
 _LENGTH_AT = 15
-"""Offset of the length byte in a frame."""
+"""Offset of the length byte in a frame of a Tick message."""
 _DATA_AT = 16
-"""Offset of the data in a frame."""
+"""Offset of the data bytes in a frame of a Tick message."""
 _DATA_WORD = np.dtype("<u8")
-"""numpy type of a frame with the eight data bytes as one word."""
+"""numpy type of the eight data bytes of a frame, as one word."""
 _SHORT_DATA = 8
-"""Number of data bytes in a frame."""
+"""Number of data bytes in a frame of a Tick message."""
 _LONGEST = 64
 """Number of data bytes in the longest CAN FD frame."""
 _MASKS = np.array([(1 << 8 * length) - 1 for length in range(_SHORT_DATA + 1)], np.uint64)
-"""Mask of the data word for each payload length from 0 to 8 bytes."""
+"""Mask of the used bytes in the data word, for each payload length from 0 to 8 bytes."""
 _LONG_INDEX = np.arange(_SHORT_DATA, _LONGEST)
-"""Indexes of the data bytes beyond the eighth."""
+"""Indexes of the payload bytes after the eighth."""
 _FRAMES_AT = FIXED.size + 4
-"""Offset of the received frames in a message [bytes]."""
+"""Offset of the received frames in a Tick message [bytes]."""
 _Fixed = tuple[int, int, int, bytes, int, int, int]
 """Values of the first part of a Tick message."""
 _MODES = {mode.value: mode for mode in Mode}
 _ACTIONS = {action.value: action for action in Action}
-"""Members of the enumeration by value.
+"""Members of the enumerations Mode and Action by value.
 
-A dictionary is four times as fast as calling the enumeration.
+A dictionary finds a member four times as fast as a call of the enumeration.
 """
 new_tuple = tuple.__new__
-"""Function that creates a named tuple without its constructor, for speed."""
+"""Function that creates a named tuple faster than the constructor of the tuple."""
 _COUNT = struct.Struct("<I")
 _NO_LONG_DATA = _COUNT.pack(0)
 _FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
-"""One telemetry field for each axis: joint, tendon, motor, digit."""
+"""A telemetry field of each axis, in the order joint, tendon, motor, digit."""
 
 
 class TickRecord(NamedTuple):
-    """Tick in the log, without its telemetry.
+    """Tick of a log, without telemetry.
 
     Attributes:
         tick_in: all inputs of the tick.
-        frames: sent frames, in order.
+        frames: frames sent in the tick, in order.
         mode, phase, action, events, state_hash: outputs of the tick, as in TickOut.
     """
 
@@ -126,12 +126,15 @@ def record_bytes(kind: int, body: bytes) -> bytes:
 
 
 def _long_mask(records: Records) -> NDArray[np.bool_]:
-    """Return a mask (n, 56): True for each byte after the eighth that belongs to the payload."""
+    """Return a mask (n, 56) of the bytes after the eighth in n frames.
+
+    True marks a byte of the payload.
+    """
     return np.asarray(records["length"][:, np.newaxis] > _LONG_INDEX)
 
 
 def _long_data(records: Records) -> bytes:
-    """Return the payload bytes after the eighth of all frames."""
+    """Return the payload bytes after the eighth of all frames, in order."""
     return bytes(records["data"][:, _SHORT_DATA:][_long_mask(records)].tobytes())
 
 
@@ -139,7 +142,7 @@ def _long_data(records: Records) -> bytes:
 def _tail_without_events(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
-    These bytes are equal at every offset divisible by four, so they are cached.
+    At every offset divisible by four the bytes are the same. Therefore the result is cached.
     """
     out = CdrWriter()
     out.text(phase)
@@ -149,11 +152,11 @@ def _tail_without_events(phase: str) -> bytes:
 
 
 def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[Event, ...]) -> bytes:
-    """Return the end of a Tick message: phase, io events, requests, events.
+    """Return the end of a Tick message, which has phase, io events, requests and events.
 
     Args:
         start: offset of the end in the message body, for alignment [bytes].
-        phase: grasp phase.
+        phase: grasp phase in the tick.
         tick_in: inputs of the tick.
         events: events of the tick.
     """
@@ -177,7 +180,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
 
     Raises:
         ValueError: state_hash is not 8 bytes long.
-        struct.error: a number does not fit its field.
+        struct.error: a number does not fit the field.
     """
     received = frames_as_records(tick_in.frames).records
     sent = frames_as_records(out.frames).records
@@ -194,11 +197,11 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     )
     beginnings = [records.getfield(_BEGINNING).tobytes() for records in (received, sent)]
     long_part = _NO_LONG_DATA
-    # A slice with a stride reads the length bytes of all frames without decoding the frames.
+    # The slice with a stride reads the length bytes of all frames, without decoding the frames.
     if max(b"".join([part[_LENGTH_AT::FRAME_SIZE] for part in beginnings]), default=0) > _SHORT_DATA:
         long_data = _long_data(received) + _long_data(sent)
         long_part = _COUNT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
-    # The first member of a frame is an int64, therefore CDR aligns the frames to 8. An empty
+    # The first member of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. An empty
     # sequence has no padding.
     padding = b"\0\0\0\0" if len(sent) else b""
     parts = [
@@ -218,7 +221,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
 
 
 def pack_tick_record(tick_in: TickIn, out: TickOut) -> bytes:
-    """Encode a tick as a record for the pipe. Raises the errors of `pack_tick`."""
+    """Encode a tick as a record for the pipe. The errors are those of `pack_tick`."""
     message = pack_tick(tick_in, out)
     values = out.telemetry.packed()
     sizes = SIZES.pack(len(message), *_axis_lengths(out.telemetry))
@@ -226,12 +229,12 @@ def pack_tick_record(tick_in: TickIn, out: TickOut) -> bytes:
 
 
 def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
-    """Encode the state after a tick as a record for the pipe."""
+    """Encode the controller's state after a tick as a record for the pipe."""
     return record_bytes(SNAPSHOT, SNAPSHOT_HEAD.pack(tick_in.k, tick_in.t_ns) + data)
 
 
 def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> list[int]:
-    """Return the numbers of joints, tendons, motors and digits."""
+    """Return the numbers of joints, tendons, motors and digits in the telemetry."""
     if isinstance(numbers, PackedTelemetry):
         return [columns.stop - columns.start for columns in map(numbers.places.__getitem__, _FIELD_OF_EACH_AXIS)]
     return [len(getattr(numbers, name)) for name in _FIELD_OF_EACH_AXIS]
@@ -241,9 +244,9 @@ class MessageLayout(NamedTuple):
     """Positions of the parts in a Tick message.
 
     Attributes:
-        received, sent: slice of the frames.
-        long_data: slice of the payload bytes after the eighth.
-        tail: offset of the phase and the lists after the phase [bytes].
+        received, sent: slice of the received and of the sent frames.
+        long_data: slice of the payload bytes after the eighth of all frames.
+        tail: offset of the phase [bytes]. The lists of events and requests follow the phase.
     """
 
     received: slice
@@ -262,24 +265,24 @@ def message_layout(message: bytes) -> MessageLayout:
     start = FIXED.size + 4
     end = FIXED.size + 4 + FRAME_SIZE * received
     (sent,) = _COUNT.unpack_from(message, end)
-    # Padding to 8 bytes precedes the frames but not an empty sequence.
+    # Padding to 8 bytes precedes the sent frames. An empty sequence of frames has no padding.
     sent_start = end + 8 if sent else end + 4
     sent_end = sent_start + FRAME_SIZE * sent
     (size,) = _COUNT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
-    # The long bytes may end at any offset. The text after them is aligned to 4 bytes.
+    # The long bytes may end at any offset. The text that follows them is aligned to 4 bytes.
     return MessageLayout(slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4)
 
 
 def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
-    """Return the decoded frames, and the long bytes that belong to later frames.
+    """Return the decoded frames, and the rest of the long bytes, which belong to later frames.
 
     Args:
         beginnings: first parts of the frames, FRAME_SIZE bytes each.
         long_data: payload bytes after the eighth, of these frames and of later frames.
 
     Raises:
-        ValueError: a payload is too long, or its bytes are missing.
+        ValueError: a payload is too long, or some of its bytes are missing.
     """
     lengths = beginnings[_LENGTH_AT::FRAME_SIZE]
     count = len(beginnings) // FRAME_SIZE
@@ -303,14 +306,14 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
 
 
 def _zero_unused_bytes(records: Records) -> None:
-    """Set the unused bytes of short payloads to zero, because a bad file may hold any bytes there."""
+    """Set the unused data bytes of short payloads to zero, because a bad file may have any values there."""
     words = records.getfield(_DATA_WORD, _DATA_AT)
     words &= _MASKS[np.minimum(records["length"], _SHORT_DATA)]
 
 
 @functools.lru_cache(maxsize=256)
 def _phase_without_events(tail: bytes) -> str | None:
-    """Return the phase if the end of a message has no events, else None."""
+    """Return the phase if the end of a Tick message has no events. Otherwise return None."""
     phase = CdrReader(ENCAPSULATION + tail).text()
     return phase if _tail_without_events(phase) == tail else None
 
@@ -335,13 +338,13 @@ def unpack_tick(message: bytes) -> TickRecord:
 
 
 def _build_tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: int) -> TickRecord:
-    """Return a tick from the parts of its message.
+    """Build a tick from the parts of a Tick message, and return the tick.
 
     Args:
         fixed: values of the first part of the message.
-        received: received frames.
-        sent: sent frames.
-        message: the whole message.
+        received: frames received in the tick.
+        sent: frames sent in the tick.
+        message: the whole Tick message.
         tail: offset of the phase in the message [bytes].
     """
     phase = _phase_without_events(message[tail:])
@@ -359,7 +362,7 @@ def _build_tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, t
 
 
 def _tick_without_events(fixed: _Fixed, received: Frames, sent: Frames, phase: str) -> TickRecord:
-    """Return a tick without io events, requests, and events."""
+    """Return a tick that has no io events, no requests and no events."""
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     tick_in = new_tuple(TickIn, (k, t_ns, late_ns, received, (), ()))
     mode_member = _MODES.get(mode) or Mode(mode)
@@ -368,7 +371,7 @@ def _tick_without_events(fixed: _Fixed, received: Frames, sent: Frames, phase: s
 
 
 def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
-    """Decode all Tick messages of a chunk. The frames of all ticks share one array.
+    """Decode all Tick messages of a chunk. The CAN frames of all ticks share one array.
 
     Raises:
         ValueError: an element is not a Tick message.
@@ -378,11 +381,11 @@ def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
 
 
 def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
-    """Decode Tick messages that have no payload longer than eight bytes.
+    """Decode Tick messages in which no payload is longer than eight bytes.
 
     Returns:
-        the ticks, or None if a message has a long payload or ends early. `unpack_tick` then decodes
-        each message.
+        the ticks, or None if a message has a longer payload or ends early. After None, the caller
+        decodes each message with `unpack_tick`.
     """
     parts = list[bytes]()
     ends = [0]
@@ -402,8 +405,8 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
         long_count = start + FRAME_SIZE * sent
         if message[long_count : long_count + 4] != _NO_LONG_DATA:
             return None
-        # The frames of all messages are joined and decoded in one call, then divided again at
-        # `ends`.
+        # The frames of all messages are joined and decoded in one call. Then the frames are divided
+        # again at `ends`.
         parts += message[_FRAMES_AT:sent_count], message[start:long_count]
         ends += end + constant_part[6], end + constant_part[6] + sent
         end = ends[-1]

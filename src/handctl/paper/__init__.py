@@ -1,1 +1,1 @@
-"""Reproduction of the source paper: every equation, number, and figure, with the errors in the print."""
+"""Reproduction of the paper that describes the hand `jamia`: its equations, numbers and figures, with their errors."""

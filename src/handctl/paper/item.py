@@ -1,24 +1,24 @@
-"""Items of the errata: each compares a statement of the paper with the correct statement."""
+"""Items of the errata. Each item compares a printed statement of the paper with the correct one."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class ErrataVerdict(StrEnum):
-    """Comparison of a printed statement with the computed one."""
+    """Result of the comparison of a printed statement with the correct one."""
 
     EQUAL = "equal"
-    """Correct as printed. A statement is true."""
+    """The printed value is exact, or the printed statement is true."""
     ROUNDED = "rounded"
-    """Printed value is the exact value correctly rounded to the printed digits, or computed from such a value."""
+    """The printed value is the exact value, correctly rounded to its digits, or was calculated from such a value."""
     TRUNCATED = "truncated"
-    """Printed value is the exact value with further digits cut off, or computed from such a value."""
+    """The printed value is the exact value with further digits cut off, or was calculated from such a value."""
     BOUND = "bound"
-    """Printed value is a bound, and the exact or measured value is beyond this bound."""
+    """The printed value is a lower bound, and the measured value is larger."""
     WRONG = "wrong"
-    """None of the above, or a false statement."""
+    """The printed value is not exact, rounded, truncated or a bound, or the printed statement is false."""
     UNDECIDABLE = "undecidable"
-    """The paper contradicts itself or is ambiguous, and offers no way to decide."""
+    """The paper contradicts itself or is ambiguous, and nothing in it shows which meaning is right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,17 +26,17 @@ class Item:
     """Row of the errata.
 
     Attributes:
-        id: unique id of words joined by dots, e.g. `eq10.gravity`.
-        where: equation or section.
-        printed: statement as in the paper.
-        computed: value in full precision, or the corrected expression. None if nothing can be
-            computed.
-        unit: unit of the computed value, empty for expressions and counts.
-        verdict: verdict, derived from printed and computed value.
-        why: explanation for a reader of the paper.
-        evidence: kinds of evidence, e.g. `arithmetic`, `Euler-Lagrange`, `dimensions`.
-        deviation: largest relative difference of an expression at random states, None for
-            numbers.
+        id: unique identifier of words that are joined by dots, e.g. `eq10.gravity`.
+        where: equation or section of the paper with the statement.
+        printed: the statement, as it is printed in the paper.
+        computed: exact value in full precision, or the corrected expression. It is None if nothing
+            can be calculated.
+        unit: unit of the exact value, empty for expressions and counts.
+        verdict: verdict on the statement, derived from the printed and the exact value.
+        why: explanation of the verdict for a reader of the paper.
+        evidence: kinds of evidence for the verdict, e.g. `arithmetic`, `Lagrange`, `dimensions`.
+        deviation: largest relative difference between printed and correct expression at random
+            states, None for numbers.
     """
 
     id: str

@@ -1,4 +1,4 @@
-"""Page about the paper, as Markdown, as a self-contained HTML file, and as plain values for JSON."""
+"""Page about the paper, as Markdown, as an HTML file that contains its figures, and as plain values for JSON."""
 
 import base64
 import html
@@ -12,17 +12,17 @@ from handctl.paper.item import Item
 from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, PageSection, count_by_verdict
 
 FIGURES = "../figures"
-"""Folder of the figures, next to the Markdown page."""
+"""Folder of the figures, relative to the folder of the Markdown page."""
 PREFIX = "paper-"
-"""Prefix of the figures' file names."""
+"""Prefix of the names of the figure files."""
 REGENERATE = (
     "handctl paper --markdown --figures docs/figures --results docs/evidence/paper-results.json"
 )
-"""Command that regenerates the page."""
+"""Command that generates the page again."""
 MEASURED_MARK = (
     "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
 )
-"""Mark of sections whose content differs between machines."""
+"""Comment in the page before sections whose content differs from machine to machine."""
 CAPTIONS = {
     "fig1-hand": "Fig. 1: the hand from its description, half closed.",
     "fig2-model": "Fig. 2: kinematic model of a finger, with relative angles q and absolute angles θ.",
@@ -47,7 +47,7 @@ def items_as_json(items: Sequence[Item]) -> list[dict[str, Any]]:
 def value_text(item: Item) -> str:
     """Return the correct value of an item as text.
 
-    The text is a number to seven digits with its unit, or an expression.
+    The text is a number of seven digits with its unit, or an expression.
     """
     if item.computed is None:
         return "—"
@@ -56,7 +56,7 @@ def value_text(item: Item) -> str:
 
 
 def page_as_markdown(parts: Sequence[PageSection]) -> str:
-    """Return the page as Markdown. The figures must be in the folder `figures` next to the page."""
+    """Return the page as Markdown. The figures must be in the folder `FIGURES`."""
     rows = [item for part in parts for item in part.items]
     lines = [
         f"# {TITLE}",
@@ -90,7 +90,10 @@ def page_as_markdown(parts: Sequence[PageSection]) -> str:
 
 
 def _markdown_table(table: Sequence[Sequence[str]]) -> list[str]:
-    """Return a table of numbers as Markdown, titles first, empty for an empty table."""
+    """Return the lines of a table of numbers as Markdown, first the titles.
+
+    An empty table has no lines.
+    """
     if not table:
         return []
     titles, *rows = ("| " + " | ".join(row) + " |" for row in table)
@@ -98,7 +101,7 @@ def _markdown_table(table: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _summary_text(rows: list[Item]) -> str:
-    """Return the number of items per verdict, and the command that regenerates the page."""
+    """Return a text with the number of items for each verdict, and the command that generates the page again."""
     counts = ", ".join(f"{count} {verdict}" for verdict, count in count_by_verdict(rows).items())
     return (
         f"Of {len(rows)} items: {counts}. The verdict `bound` means that the paper states a lower bound and a larger "
@@ -108,7 +111,7 @@ def _summary_text(rows: list[Item]) -> str:
 
 
 def _item_cells(item: Item) -> tuple[str, ...]:
-    """Return the table cells of an item."""
+    """Return the cells of an item in its row of the table."""
     off = (
         f" (deviation {item.deviation:.2g})"
         if item.deviation is not None and item.verdict != "equal"
@@ -125,12 +128,12 @@ def _item_cells(item: Item) -> tuple[str, ...]:
 
 
 def _escape_cell(text: str) -> str:
-    """Return a cell with Markdown's special characters escaped."""
+    """Return a cell in which the special characters of Markdown are escaped, unless the cell is bold."""
     return text.replace("|", "\\|").replace("*", "\\*") if not text.startswith("**") else text
 
 
 def _wrap_paragraph(paragraph: str) -> str:
-    """Return a paragraph wrapped to 118 characters."""
+    """Return a paragraph wrapped to lines of 118 characters."""
     return textwrap.fill(paragraph, 118, break_long_words=False, break_on_hyphens=False)
 
 
@@ -180,8 +183,8 @@ def _html_badge(verdict: str) -> str:
 
 
 def _html_paragraph(paragraph: str) -> str:
-    """Return a paragraph as HTML, with marked code."""
-    # Text and code alternate between the backquotes.
+    """Return a paragraph as HTML, in which code is marked."""
+    # Between the backquotes, text and code alternate.
     pieces = html.escape(paragraph).split("`")
     return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))
 
@@ -195,8 +198,8 @@ def _html_figure(name: str, path: Path) -> str:
 
 
 def _html_numbers(table: Sequence[Sequence[str]]) -> str:
-    """Return a table of numbers as HTML, titles first."""
-    # The first row has the titles, whose cells become headers below.
+    """Return a table of numbers as HTML, first the titles."""
+    # The first row contains the titles. Its cells become header cells below.
     titles, *rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in table)
     head = titles.replace("td>", "th>")
     body = "".join(f"<tr>{row}</tr>" for row in rows)

@@ -1,4 +1,4 @@
-"""Sections of the page about the paper, in order, each with a text, figures and items."""
+"""Sections of the page about the paper, in order. Each has a text, figures and items."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,12 +28,12 @@ class PageSection:
     """Section of the page about the paper.
 
     Attributes:
-        title: heading.
-        text: paragraphs.
-        figures: names of figures.
-        items: items of the section, one table row each.
+        title: heading of the section.
+        text: paragraphs of the section.
+        figures: names of the figures in the section.
+        items: items of the section. Each is a row of the table.
         measured: True if the section shows results of experiments.
-        table: a table of numbers shown before the items. The first row has the column titles.
+        table: table of numbers before the items. The first row contains the titles of the columns.
     """
 
     title: str
@@ -45,10 +45,12 @@ class PageSection:
 
 
 def page_sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
-    """Return all sections. Without results of experiments, sections of measurements are omitted.
+    """Return all sections of the page.
+
+    Without results of experiments, the sections about measurements are left out.
 
     Args:
-        measured: results of `experiments.run_experiments`.
+        measured: results of `experiments.run_experiments`, or None.
     """
     fixed = (
         _hand_section(),

@@ -1,4 +1,4 @@
-"""Numbers in the paper from which all others follow, as exact fractions, and the paper's hand."""
+"""Numbers of the paper from which all its other numbers follow, as exact fractions, and the hand of the paper."""
 
 import math
 from fractions import Fraction
@@ -13,13 +13,13 @@ PULLEY_MM = Fraction(3)
 SPOOL_MM = Fraction(5)
 """Radius of the actuator pulley [mm]. Source: sections 5 and 6."""
 GRIP_FINGER_N = Fraction(6)
-"""Force of each finger [N]."""
+"""Force with which each finger presses [N]."""
 GRIP_THUMB_N = Fraction(10)
-"""Force of the thumb [N]."""
+"""Force with which the thumb presses [N]."""
 FINGERS = 3
 """Number of fingers."""
 FRICTION = Fraction(1, 2)
-"""Coefficient of friction."""
+"""Coefficient of friction between digits and object."""
 GRAVITY = Fraction(981, 100)
 """Acceleration of gravity [m/s^2]."""
 STRESS_MPA = Fraction(190)
@@ -27,57 +27,62 @@ STRESS_MPA = Fraction(190)
 KNEES_N = (Fraction(200), Fraction(250))
 """Knees of the force-displacement curve in section 5 and in the abstract [N]."""
 PAYLOAD_KG = "0.915"
-"""Payload as printed [kg]."""
+"""Payload, as it is printed in the paper [kg]."""
 
 
 @cache
 def paper_hand() -> Hand:
-    """Return the packaged hand with the lengths and radii of the paper."""
+    """Return the packaged hand that has the lengths and radii of the paper."""
     return load_hand("jamia")
 
 
 def paper_finger() -> Digit:
-    """Return a finger of this hand."""
+    """Return a finger of the paper's hand."""
     return paper_hand().digit_named("index")
 
 
 def paper_thumb() -> Digit:
-    """Return the thumb of this hand."""
+    """Return the thumb of the paper's hand."""
     return paper_hand().digit_named("thumb")
 
 
 def millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
-    """Return lengths from a hand file as exact numbers [mm]. The file writes decimal numbers, so the
-    conversion loses nothing."""
+    """Return lengths from a hand file as exact numbers [mm].
+
+    The conversion is exact, because the file contains decimal numbers.
+    """
     return tuple(1000 * Fraction(str(length)) for length in lengths_m)
 
 
 def levers_mm(digit: Digit) -> tuple[Fraction, ...]:
-    """Return the distance of the tip from each joint of the straight digit [mm], equal to the moment per newton."""
+    """Return the distance of the tip from each joint of the straight digit [mm].
+
+    It equals the moment per newton of force at the tip.
+    """
     lengths = millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))
 
 
 def tension_per_newton(digit: Digit) -> Fraction:
-    """Return the tension that balances joint 1 of the straight digit, per newton of tip force [N/N]."""
+    """Return the tension that balances joint 1 of the straight digit, per newton of force at the tip [N/N]."""
     return levers_mm(digit)[0] / PULLEY_MM
 
 
 def tension_of_payload_kg(mass: int) -> Fraction:
-    """Return the tension of each finger's tendon at which friction of three fingers holds a mass [N]."""
+    """Return the tension of each finger's tendon at which the friction of three fingers holds a mass [kg] [N]."""
     return mass * GRAVITY / (FINGERS * FRICTION) * tension_per_newton(paper_finger())
 
 
 def wire_diameter_mm(tension_n: Fraction | float) -> float:
-    """Return the smallest diameter of a wire at the allowable stress [mm]."""
+    """Return the smallest diameter at which a wire with a tension has the allowable stress [mm]."""
     return math.sqrt(4.0 * float(tension_n) / (math.pi * float(STRESS_MPA)))
 
 
 def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
-    """Return the stress in a wire [MPa]."""
+    """Return the stress in a wire with a tension and a diameter [MPa]."""
     return 4.0 * float(tension_n) / (math.pi * diameter_mm**2)
 
 
 def payload_kg(normal_n: Fraction) -> Fraction:
-    """Return the mass that the friction of a contact holds [kg]."""
+    """Return the mass that the friction of a contact with a normal force holds [kg]."""
     return FRICTION * normal_n / GRAVITY

@@ -1,4 +1,4 @@
-"""Rules that derive a verdict from the printed digits and the exact value."""
+"""Rules that derive the verdict on a statement of the paper from the printed digits and the exact value."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -6,16 +6,16 @@ from fractions import Fraction
 from handctl.paper.item import ErrataVerdict
 
 ROUNDING_TOLERANCE = Fraction(1, 10**12)
-"""Largest relative difference that counts as floating-point rounding, in values computed with floats."""
+"""Largest relative difference that counts as a rounding error of floating-point numbers."""
 
 
 def verdict_of_number(printed: str, exact: Fraction | float) -> ErrataVerdict:
-    """Return the verdict on printed digits with an exact value.
+    """Return the verdict on a printed number, given the exact value.
 
     The verdict is the first of ``equal``, ``rounded`` and ``truncated`` that is true, or else ``wrong``.
 
     Args:
-        printed: decimal number, e.g. `18.33`.
+        printed: decimal number as printed, e.g. `18.33`.
         exact: exact value.
     """
     shown = Fraction(printed)
@@ -23,7 +23,7 @@ def verdict_of_number(printed: str, exact: Fraction | float) -> ErrataVerdict:
     unit = last_digit_value(printed)
     if abs(shown - value) <= ROUNDING_TOLERANCE * abs(value):
         return ErrataVerdict.EQUAL
-    # Half a unit of the last printed digit.
+    # The difference is at most half a unit of the last printed digit.
     if 2 * abs(shown - value) <= unit:
         return ErrataVerdict.ROUNDED
     if shown * value >= 0 and 0 < abs(value) - abs(shown) < unit:
@@ -34,14 +34,14 @@ def verdict_of_number(printed: str, exact: Fraction | float) -> ErrataVerdict:
 def verdict_of_derived_number(
     printed: str, exact: Fraction | float, carried: Fraction, source: ErrataVerdict
 ) -> ErrataVerdict:
-    """Return the verdict on digits that were computed from digits printed earlier.
+    """Return the verdict on a printed number that was calculated from a number printed earlier.
 
     Args:
-        printed: decimal number.
+        printed: decimal number as printed.
         exact: exact value.
-        carried: value computed from the digits printed earlier.
-        source: verdict on the digits printed earlier. This verdict is returned if the carried value
-            explains the print.
+        carried: value that follows from the number printed earlier.
+        source: verdict on the number printed earlier. It is returned if the printed number is
+            wrong, but equals `carried`.
     """
     verdict = verdict_of_number(printed, exact)
     explained = verdict_of_number(printed, carried) == ErrataVerdict.EQUAL
@@ -49,42 +49,43 @@ def verdict_of_derived_number(
 
 
 def verdict_of_statement(holds: bool) -> ErrataVerdict:
-    """Return the verdict on a statement, from its truth value."""
+    """Return the verdict on a statement that is true or false."""
     return ErrataVerdict.EQUAL if holds else ErrataVerdict.WRONG
 
 
 def verdict_of_lower_bound(printed: str, value: float) -> ErrataVerdict:
-    """Return the verdict on a claimed lower bound with the reached value.
+    """Return the verdict on a printed lower bound, given the value that was reached.
 
-    The verdict is equal (as a number), else bound, else wrong.
+    If the bound is not right as a number, the verdict is ``bound`` for a value above the bound, and
+    ``wrong`` for a value below.
     """
     verdict = verdict_of_number(printed, value)
     return ErrataVerdict.BOUND if verdict == ErrataVerdict.WRONG and value > float(printed) else verdict
 
 
 def verdict_of_readings(right: Sequence[bool]) -> ErrataVerdict:
-    """Return the verdict on several readings: right in all, wrong in all, or undecidable."""
+    """Return the verdict on an ambiguous statement: true in all readings, false in all readings, or undecidable."""
     return verdict_of_statement(all(right)) if len(set(right)) == 1 else ErrataVerdict.UNDECIDABLE
 
 
 def verdict_of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> ErrataVerdict:
-    """Return the verdict on several printed values for one quantity.
+    """Return the verdict on several printed values of the same quantity.
 
     If the printed values differ and there is no exact value, the verdict is undecidable.
     """
     if exact is None:
         return verdict_of_readings([value == printed[0] for value in printed])
     verdicts = [verdict_of_number(value, exact) for value in printed]
-    # The order of the enumeration is the order of severity.
+    # The verdicts of the enumeration are in the order of severity.
     return max(verdicts, key=list(ErrataVerdict).index)
 
 
 def last_digit_value(printed: str) -> Fraction:
-    """Return the value of one unit in the last printed digit."""
+    """Return the value of one unit of the last printed digit."""
     return Fraction(1, 10 ** len(printed.partition(".")[2]))
 
 
 def rounding_interval(printed: str) -> tuple[Fraction, Fraction]:
-    """Return the interval of values that round to a printed number."""
+    """Return the ends of the interval of values that are rounded to a printed number."""
     half = last_digit_value(printed) / 2
     return Fraction(printed) - half, Fraction(printed) + half

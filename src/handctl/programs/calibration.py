@@ -1,4 +1,4 @@
-"""Calibration file of a hand: tares, motor zeros, the proof of each tendon's direction, identified parameters."""
+"""Calibration file of a hand: tares, motor zeros, responses of all tendons to a pull, and identified parameters."""
 
 import datetime
 from collections.abc import Mapping
@@ -18,16 +18,16 @@ from handctl.hand.load import read_toml
 
 
 class TendonCalibration(Document):
-    """Result of the sign test of a tendon."""
+    """Calibration of a tendon, and its response to a pull during commissioning."""
 
     tare_N: float
-    """Tare: load-cell reading without tension."""
+    """Tare of the load cell: its reading without tension."""
     zero_rad: float = Field(ge=-1000, le=1000)
-    """Motor position at which the tendon is just taut and the digit open."""
+    """Motor position at which the tendon is just taut while its digit is open."""
     answer_N: float
     """Response of the tendon's own load cell to the pull."""
     crosstalk_N: float
-    """Largest response of any other load cell."""
+    """Largest response of any other load cell to the pull."""
 
     @field_validator("tare_N")
     @classmethod
@@ -43,14 +43,17 @@ class Calibration(Document):
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     hand: str
     identity: str
-    """Hash of the hand description."""
+    """Hash of the hand description that the calibration belongs to."""
     made: str
-    """Date and time, ISO 8601, UTC."""
+    """Date and time of the calibration, ISO 8601, UTC."""
     tendon: dict[str, TendonCalibration]
     drive: dict[str, str] = Field(default_factory=dict)
-    """Identity of each drive by motor, see `Drive.identity`. Empty in files of earlier versions."""
+    """Identity of the drive of each motor, see `Drive.identity`.
+
+    Empty in files of earlier versions.
+    """
     identified: dict[str, Identified] = Field(default_factory=dict)
-    """Identified parameters by tendon. Parameters that are missing have the values of the hand file."""
+    """Identified parameters of each tendon. Missing parameters have the values of the hand file."""
 
     @field_validator("made")
     @classmethod
@@ -71,14 +74,14 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
     """Read the calibration of a hand.
 
     Raises:
-        ConfigError: The file cannot be read, is for another hand or another version of the
-            description, or lacks a tendon.
+        ConfigError: The file cannot be read, is for another hand, is for another version of the
+            hand description, or lacks a tendon.
     """
     return calibration_from(read_toml(path), hand, str(path))
 
 
 def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Calibration:
-    """Check the content of a calibration file.
+    """Check the content of a calibration file for a hand, and return the calibration.
 
     Args:
         content: parsed file.

@@ -1,19 +1,19 @@
-"""Program that commissions a hand: tare, motor zeros, and the proof of each motor's own tendon.
+"""Program that commissions a hand: tares, motor zeros, and the proof that each motor pulls its own tendon.
 
-One tendon after the other is pulled gently while all others are slack. Only its own load cell may
-respond. The pull is too weak to move a digit against the springs, so the joint encoders are not
-tested.
+One tendon after the other is pulled gently, while all other tendons are slack. Only the load cell
+of the pulled tendon may respond. The pull is too weak to move a digit against its springs, so the
+joint encoders are not tested.
 
-A tendon without load cell has no tare. The force at its motor shows that it becomes taut.
+A tendon without load cell has no tare. The force at its motor shows when the tendon becomes taut.
 
-Without springs a single tendon would move its digit. In such a digit all tendons pull together
-first, so that the digit is pressed on its lower joint limits. One tendon after the other is then
-pulled more. The known excursion of the limits, or that of the joint encoders, is taken off the
-motor zeros.
+In a digit without springs, a single tendon would move the digit. Therefore all tendons of such a
+digit first pull together, and press the digit on its lower joint limits. Then one tendon after the
+other is pulled more. The known excursion at these limits, or the excursion by the joint encoders,
+is subtracted from the motor zeros.
 
-Load cells drift while many tendons are pulled one by one. Therefore the hand is without torque for
-a moment before each pull. The readings without torque are the reference for the responses of all
-load cells. They also renew the tare of the tendon that is pulled next.
+Load cells drift while many tendons are pulled one by one. Therefore no motor makes torque for a
+moment before each pull. The readings without torque are the reference for the responses of all load
+cells. They also renew the tare of the tendon that is pulled next.
 """
 
 from dataclasses import dataclass, replace
@@ -33,21 +33,24 @@ from handctl.programs.program import TARE_PHASE, Progress, ProgressAndEvents
 PULL_N = 3.0
 """Tension of a pull [N]."""
 PULL_FORCE_LIMIT_N = 12.0
-"""Largest motor force of a pull, if the load cell does not respond: the pull, friction and a margin [N]."""
+"""Largest motor force of a pull, for a load cell that does not respond: the pull, friction and a margin [N]."""
 TARE_S = 0.5
 """Averaging time of the first tare [s]."""
 REST_SETTLE_S = 0.3
 """Time without torque before the load cells are read again [s]."""
 REST_S = 0.2
-"""Averaging time before each pull [s]."""
+"""Averaging time of the load-cell readings without torque, before each pull [s]."""
 SETTLE_S = 0.7
-"""Time between a taut tendon and the measurement [s]."""
+"""Time from the moment at which a pulled tendon becomes taut until its measurement [s]."""
 TAKE_UP_TIMEOUT_S = 3.0
-"""Longest time until a pulled tendon is taut [s]."""
+"""Longest time that a pulled tendon may take to become taut [s]."""
 HOLD_TIMEOUT_S = 10.0
-"""Longest time until all tendons of a digit without springs are taut and the digit is at its lower limits [s]."""
+"""Longest time that all tendons of a digit without springs may take to become taut [s]."""
 HOLD_SETTLE_S = 3.0
-"""Time between taut tendons and the measurement, in which a digit without springs moves to its limits [s]."""
+"""Time from the moment at which all tendons of a digit without springs are taut until their measurement [s].
+
+In this time, the digit moves to its lower limits.
+"""
 PRESS_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
 MEASURE_S = 0.3
@@ -59,7 +62,10 @@ MAX_CROSSTALK_FRACTION = 0.3
 
 TARE_SUM, TARE_SAMPLES, ZERO, ANSWER, CROSSTALK, PULL_SUM, REST_SUM, REST_SAMPLES = range(8)
 COLUMNS = 8
-"""Number of columns of the table in `Progress.record`. The constants above are the indices of its columns."""
+"""Number of columns of the table in `Progress.record`.
+
+The constants above are the indices of its columns.
+"""
 BEFORE_PULL = -1
 """Value of `Progress.touching[0]` before a pull.
 
@@ -77,14 +83,14 @@ class CommissionProgram:
     """
 
     def initial(self, model: HandModel) -> Progress:
-        """Return the progress at the start: no torque, an empty table."""
+        """Return the progress at the start: no torque, and a table of zeros."""
         empty = (0.0,) * (COLUMNS * model.tendon_count)
         return replace(Progress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty)
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        """Advance by one tick. See `Program`."""
+        """Advance commissioning by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.since < 0.0:
@@ -113,7 +119,7 @@ class CommissionProgram:
         return self._check_tare(model, progress) or self._next(model, _with_new_tare(progress), t)
 
     def _check_tare(self, model: HandModel, progress: Progress) -> ProgressAndEvents | None:
-        """Return a failed progress for a tare near an end of the load cell's range, None if all tares are usable."""
+        """Return a failed progress if a tare is near an end of its cell's range, or None if all tares are usable."""
         tare = _tares_of(_table_of(progress))
         worst = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
         if TARE_MIN_N <= tare[worst] <= TARE_MAX_N:
@@ -127,10 +133,11 @@ class CommissionProgram:
     def _rest(
         self, model: HandModel, progress: Progress, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        """Read all load cells without torque, renew the tare of the present tendon, then pull it.
+        """Read all load cells without torque, renew the tare of the present tendon, then pull this tendon.
 
         Only tares of tendons that were never taut are renewed, because friction may hold tension in
-        a tendon pulled before: that of the present tendon, or those of a digit without springs.
+        a tendon that was pulled before. These are the tare of the present tendon, or all tares of a
+        digit without springs.
         """
         tension = _tensions(model, measured)
         if t - progress.since < REST_SETTLE_S or np.isnan(tension).any():
@@ -140,10 +147,10 @@ class CommissionProgram:
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
-        # Time is counted in samples, so that missing readings prolong it.
+        # The averaging time is counted in samples, so that missing readings prolong it.
         if samples * model.period < REST_S:
             return _with_table(progress, table), ()
-        # The new average gets the weight of all samples before.
+        # The new average gets the weight of all earlier samples.
         fresh = (
             slice(i, i + 1)
             if model.redundancy.sprung[i]
@@ -172,7 +179,7 @@ class CommissionProgram:
             model: model of the hand.
             progress: progress so far.
             t: time [s].
-            taut: True if the tendons are taut already.
+            taut: True if the tendons of the digit are taut already.
         """
         i = progress.step - 1
         goals = _hold_goals(model, i, np.zeros(model.tendon_count))
@@ -200,8 +207,8 @@ class CommissionProgram:
         waiting = progress.touching[0]
         if waiting == 0:
             if not estimate.slack[own].any():
-                # From here on the digit is pressed on its limits, so the filter must treat it as in
-                # contact.
+                # From here on, the digit is pressed on its limits, so the filter must treat it as a
+                # digit in contact.
                 contact = tuple(d == model.digit_of[i] for d in range(len(model.digits)))
                 return replace(
                     progress, touching=(1, *progress.touching[1:]), since=t, contact=contact
@@ -248,7 +255,7 @@ class CommissionProgram:
     def _pull(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        """Pull the present tendon: wait until taut, settle, measure."""
+        """Pull the present tendon: wait until it is taut, let it settle, and measure its response."""
         i = progress.step - 1
         waiting = progress.touching[0]
         if waiting == 0 and not estimate.slack[i]:
@@ -297,7 +304,7 @@ class CommissionProgram:
         return progress, (event, *entered)
 
     def _next(self, model: HandModel, progress: Progress, t: float) -> ProgressAndEvents:
-        """Release the tendon, then rest before the next one, or finish."""
+        """Release the present tendon, then rest before the next tendon, or finish."""
         step = progress.step + 1
         same_digit = (
             1 < step <= model.tendon_count and model.digit_of[step - 1] == model.digit_of[step - 2]
@@ -331,7 +338,10 @@ class CommissionProgram:
 
 
 def _no_answer_text(model: HandModel, measured: Measured) -> str:
-    """Return why a tendon's load cell does not respond: another load cell may respond instead."""
+    """Return the reason why a tendon's load cell does not respond.
+
+    Another load cell may respond instead.
+    """
     answers = np.nan_to_num(measured.tension)
     other = int(answers.argmax())
     if answers[other] < MIN_ANSWER_FRACTION * PULL_N:
@@ -343,7 +353,7 @@ def _no_answer_text(model: HandModel, measured: Measured) -> str:
 
 
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:
-    """Return the goal of a digit while tendon i is pulled: no torque if the tendon is another digit's."""
+    """Return the goal of a digit while tendon i is pulled: no torque if the tendon belongs to another digit."""
     if not tendons.start <= i < tendons.stop:
         return DigitGoal()
     tension = np.zeros(tendons.stop - tendons.start)
@@ -354,7 +364,7 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
 def _tensions(model: HandModel, measured: Measured, estimate: Estimate | None = None) -> Vector:
     """Return the tensions (N,) of a tick [N]: readings of load cells, and estimates of tendons without load cell.
 
-    Without an estimate a tendon without load cell counts as slack.
+    If no estimate is given, a tendon without load cell counts as slack.
     """
     return np.where(
         model.hand.has_cell, measured.tension, 0.0 if estimate is None else estimate.tension
@@ -378,8 +388,8 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
     digit = model.digits[held]
     tendons = model.digit_tendons[held]
     arms = digit.at(digit.joint_min).reduced_moment_arms
-    # A further pull must not lift the digit off its limits. Its torque is at most that of the
-    # largest closing arm.
+    # A further pull must not lift the digit off its limits. The torque of a pull is at most that
+    # with the largest closing moment arm.
     press = PRESS_FACTOR * PULL_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
@@ -389,12 +399,12 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
 
 
 def _table_of(progress: Progress) -> Vector:
-    """Return the table of a progress (N, COLUMNS)."""
+    """Return the table (N, COLUMNS) of a commissioning progress."""
     return np.array(progress.record).reshape(-1, COLUMNS)
 
 
 def _with_table(progress: Progress, table: Vector) -> Progress:
-    """Return a progress with another table."""
+    """Return a copy of a progress with another table."""
     return replace(progress, record=tuple(table.ravel().tolist()))
 
 
@@ -404,17 +414,17 @@ def _tares_of(table: Vector) -> Vector:
 
 
 def _with_new_tare(progress: Progress) -> Progress:
-    """Return a progress whose table's tares are subtracted from the next reading on."""
+    """Return a copy of a progress in which the tares of its table apply, from the next reading on."""
     return replace(progress, tare=tuple(_tares_of(_table_of(progress)).tolist()))
 
 
 def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
-    """Return the table with the results of tendon i and cleared sums."""
+    """Return the table with the results of tendon i, and with cleared sums."""
     rest = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest
     if model.redundancy.sprung[i]:
-        # The pull stretches the tendon, so the motor turns further than to the point at which the
-        # tendon becomes taut.
+        # The pull stretches the tendon, so the motor turns further than to the position at which
+        # the tendon becomes taut.
         stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
         table[i, ZERO] = (
             table[i, ZERO] / samples
@@ -438,7 +448,7 @@ def calibration_of_result(model: HandModel, progress: Progress, made: str) -> Ca
     Args:
         model: model of the hand.
         progress: finished progress without failure.
-        made: date and time, ISO 8601, UTC.
+        made: date and time of the calibration, ISO 8601, UTC.
     """
     table = _table_of(progress)
     tare = _tares_of(table)

@@ -19,26 +19,32 @@ from handctl.hand.tree import HandTree
 from handctl.programs.task import Task
 
 CLOSED_FRACTION = 0.85
-"""Angle of a closed coordinate divided by its largest angle. A digit without an object stops before its joints do."""
+"""Angle of a closed coordinate divided by its largest angle.
+
+So a digit that touches no object stops before its joints reach their limits.
+"""
 LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
 HOLD_FRACTION = 0.3
-"""Tension of a hold divided by ``tension_max_N``, if equal numbers of digits close from both sides."""
+"""Tension of a hold divided by ``tension_max_N``, if as many digits close from one side as from the other."""
 LARGEST_HOLD = 0.7
 """Largest tension of a hold divided by ``tension_max_N``."""
 MIN_BALANCE_FACTOR = 0.1
-"""Smallest factor of a digit for a balance of forces.
+"""Smallest tension factor of a digit with which the forces on an object are balanced.
 
-If a factor would be smaller, the forces of the hand are not balanced.
+If a balance requires a smaller factor, the forces of the hand are not balanced.
 """
 PRESS_N = 1.0
-"""Smallest force of a hold at the tip of a half-closed digit, against springs [N]."""
+"""Smallest force with which a hold presses at the tip of a half-closed digit, against its springs [N]."""
 CONTACT_FRACTION = 0.16
-"""Tension of a digit in contact divided by ``tension_max_N``, until all digits hold."""
+"""Tension of a digit in contact divided by ``tension_max_N``, in the time until all digits hold."""
 RELEASE_N = 6.0
 """Tension of a release above the highest ``tension_floor_N`` of the hand [N]."""
 OPENING_S = 1.2
-"""Duration of the last phase [s]. A joint that opens by 90 deg then moves at 140 deg/s at most."""
+"""Duration of the last phase, in which the hand opens [s].
+
+A joint that opens by 90 deg then moves at 140 deg/s at most.
+"""
 EXTENSOR_FACTOR = 1.5
 """Tension of an extensor in a hold divided by ``tension_floor_N``."""
 SCENE = "cylinder"
@@ -46,17 +52,23 @@ SCENE = "cylinder"
 BALL = "sphere"
 """Scene for digits that flex in other planes."""
 MAX_AXIAL_COMPONENT = 0.1
-"""Largest component of a direction of flexion along the cylinder."""
+"""Largest component along the cylinder of a direction of flexion that counts as normal to the cylinder."""
 PALM_GAP_M = 0.002
-"""Gap between the palm and the object of the scene [m]. Source: ``firmware_sim/scenes/cylinder.toml``."""
+"""Gap between the palm and the object of the scene [m].
+
+Source: ``firmware_sim/scenes/cylinder.toml``.
+"""
 OBJECT_HALF_LENGTH_M = 0.0465
-"""Half length of the object along the hinges [m]. Source: as above."""
+"""Half length of the scene's object along the hinges [m].
+
+Source: ``firmware_sim/scenes/cylinder.toml``.
+"""
 LINK_SAMPLES = 9
-"""Points along a link for the distance to the object."""
+"""Number of points along a link for which the distance to the object is computed."""
 
 
 def default_task(hand: Hand) -> tuple[Task, str]:
-    """Return the default task of any hand, and its text as a task file.
+    """Return the default task of a hand, and the text of this task as a task file.
 
     Args:
         hand: hand that is ready to run.
@@ -64,7 +76,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
     largest = min(tendon.tension_max_N for tendon in hand.tendon)
     floor = max(tendon.tension_floor_N for tendon in hand.tendon)
     opened = {name: np.zeros_like(_closed_angles_deg(hand, name)).tolist() for name in hand.digit_names}
-    # A digit that carries others, such as a wrist, keeps its angle.
+    # A digit that carries other digits, such as a wrist, keeps its angle.
     closing = [name for name in hand.digit_names if name not in hand.carriers]
     content: dict[str, Any] = {
         "schema": 1,
@@ -97,7 +109,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 
 
 def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
-    """Return the angle of each coordinate of a closed digit (n_c,) [deg]."""
+    """Return the angles of the coordinates of a closed digit (n_c,) [deg]."""
     _, high = coordinate_range_deg(hand.digit_named(name))
     sideways = DigitModel.of(hand, name).sideways
     closed = np.where(sideways, 0.0, np.minimum(CLOSED_FRACTION * high, LARGEST_CLOSED_DEG))
@@ -113,7 +125,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     balance = _balance(hand)
     if balance is not None:
         return balance
-    # The palm or friction makes the balance. Both sides press with equal force.
+    # The palm or friction balances the forces. Both sides press with equal force.
     opposed = _opposed(hand)
     count = len(opposed)
     behind = sum(opposed.values())
@@ -123,7 +135,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
 
 
 def _balance(hand: Hand) -> dict[str, float] | None:
-    """Return the factors nearest to 1, 1 on average, for which the digits' directions sum to zero, or None."""
+    """Return the factors nearest to 1, with mean 1, for which the digits' directions sum to zero, or None."""
     directions = _directions(hand)
     rows = np.array(list(directions.values()))
     factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
@@ -133,14 +145,17 @@ def _balance(hand: Hand) -> dict[str, float] | None:
 
 
 def _directions(hand: Hand) -> dict[str, Array]:
-    """Return the direction of flexion of each closing digit: y of the last link at rest, (3,) in the palm frame."""
+    """Return the direction in which the tip of each closing digit flexes, (3,) in the palm frame.
+
+    It is the y axis of the last link at joint angles of 0.
+    """
     tree = HandTree.of(hand)
     turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carriers}
 
 
 def _opposed(hand: Hand) -> dict[str, bool]:
-    """Return True for each closing digit opposed to the first."""
+    """Return for each closing digit True if it is opposed to the first closing digit."""
     directions = _directions(hand)
     first = next(iter(directions.values()))
     return {name: bool(direction @ first < 0.0) for name, direction in directions.items()}
@@ -149,7 +164,8 @@ def _opposed(hand: Hand) -> dict[str, bool]:
 def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
     """Return the tension of each tendon of a digit in a hold [N]. Extensors only stay taut.
 
-    One number is the largest net tension of a digit of spool pairs that presses with its tip.
+    For a digit of spool pairs, the result is one number: the largest net tension while the digit
+    presses with its tip.
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
@@ -169,7 +185,7 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
 
 
 def _pressing_tension(hand: Hand, name: str) -> float:
-    """Return the tension of closing tendons for PRESS_N at the tip of a half-closed digit [N]."""
+    """Return the tension of closing tendons that makes PRESS_N at the tip of a half-closed digit [N]."""
     digit = DigitModel.of(hand, name)
     half = np.radians(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half
@@ -183,7 +199,7 @@ def _pressing_tension(hand: Hand, name: str) -> float:
 
 
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return warnings about a hand too weak or one-sided for the default task, one line per warning."""
+    """Return warnings about a hand that is too weak or too one-sided for the default task, one line per warning."""
     warnings = []
     opposed = _opposed(hand)
     if len(set(opposed.values())) == 1:
@@ -205,9 +221,9 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
 def default_scene(hand: Hand) -> str:
     """Return the scene for the default task of a hand: a cylinder or a ball between the open digits.
 
-    The diameter is in proportion to the digits. The tips of opposed digits meet around thin
-    objects. A hand whose digits cannot balance their forces, such as an anthropomorphic hand, gets
-    the scene with the object of 35 mm.
+    The diameter of the object is in proportion to the length of the digits. The tips of opposed
+    digits would meet around thin objects. A hand whose digits cannot balance their forces, such as
+    an anthropomorphic hand, gets the scene with the object of 35 mm.
     """
     directions = _directions(hand)
     parallel = all(abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values())

@@ -1,7 +1,7 @@
 """Program that excites a hand for identification: one digit after the other, all other digits without torque.
 
-The steps come from the identification. Each phase is named `DIGIT STEP`, to assign every tick of
-the log to a step.
+The identification determines the steps. Each phase is named `DIGIT STEP`, so that every tick of the
+log can be assigned to a step.
 """
 
 from dataclasses import dataclass, replace
@@ -19,11 +19,11 @@ from handctl.document import Document
 from handctl.programs.program import Progress, ProgressAndEvents, coordinates_by_excursion
 
 TAUT_TIMEOUT_S = 4.0
-"""Longest time until a healthy tendon is taut [s]."""
+"""Longest time that a healthy tendon takes to become taut [s]."""
 
 
 class ExciteStep(Document):
-    """One step of one digit.
+    """One step of the excitation, for one digit.
 
     - `limp`: no torque.
     - `taut`: take up slack, to `target` [N].
@@ -36,18 +36,21 @@ class ExciteStep(Document):
 
     digit: str
     name: str
-    """Name of the step in the phase."""
+    """Name of the step, as in the name of the phase."""
     kind: Literal["limp", "taut", "move", "chirp", "tension"]
     duration_s: float = Field(gt=0, le=60)
     target: float = 0.0
     targets: tuple[float, ...] = ()
-    """Target of each coordinate [rad] or tendon [N] of the digit, empty for `target`."""
+    """Target of each coordinate [rad] or tendon [N] of the digit.
+
+    If it is empty, `target` applies to all.
+    """
     held: bool = False
     """True if an obstacle stops the digit. The filter then treats the digit as blocked."""
     rate: float = Field(100.0, gt=0, le=5000)
     amplitude: float = Field(0.0, ge=0, le=1)
     amplitudes: tuple[float, ...] = ()
-    """Amplitude of each coordinate [rad], empty for `amplitude`."""
+    """Amplitude of each coordinate [rad]. If it is empty, `amplitude` applies to all."""
     low_Hz: float = Field(0.5, gt=0, le=100)
     high_Hz: float = Field(5.0, gt=0, le=100)
 
@@ -68,11 +71,11 @@ class Swing:
 
     @property
     def duration(self) -> float:
-        """Return the duration [s]."""
+        """Return the duration of the oscillation [s]."""
         return self.chirp.duration
 
     def at(self, t: float) -> Vector:
-        """Return (3, n) the motion at time t, see ``Trajectory.at``."""
+        """Return the motion at time t, (3, n), see ``Trajectory.at``."""
         way = self.chirp.at(t) * self.amplitude
         way[0] += self.centre
         return way
@@ -80,7 +83,7 @@ class Swing:
 
 @dataclass(frozen=True, slots=True)
 class ExciteProgram:
-    """Program that carries out steps in order.
+    """Program that carries out the steps of an excitation in order.
 
     Attributes:
         steps: steps of all digits.
@@ -95,7 +98,7 @@ class ExciteProgram:
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        """Advance by one tick. See `Program`."""
+        """Advance the excitation by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.step < 0:
@@ -117,7 +120,7 @@ class ExciteProgram:
     def _enter(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float, index: int
     ) -> ProgressAndEvents:
-        """Enter a step, or the end."""
+        """Enter a step, or finish after the last step."""
         goals = [DigitGoal()] * len(model.digits)
         if index == len(self.steps):
             done = replace(
@@ -135,7 +138,7 @@ class ExciteProgram:
         same_phase = phase == progress.phase
         contact = tuple(i == d and step.held for i in range(len(goals)))
         progress = replace(progress, step=index, since=t, phase=phase, goals=tuple(goals), contact=contact)
-        # Consecutive steps with one name are one phase in the log.
+        # Consecutive steps with the same name are one phase in the log.
         return progress, () if same_phase else (Event("info", "phase", step.digit, phase),)
 
 

@@ -1,4 +1,4 @@
-"""Program for the comparison of gains: all gains execute equal moves and tensions, and are scored by the errors."""
+"""Program for the comparison of gains by their errors, which executes the same moves and tensions with all gains."""
 
 import math
 from dataclasses import dataclass, replace
@@ -15,13 +15,13 @@ REST_S = 0.15
 HOME_ANGLE_RAD = math.radians(5.0)
 """Angle between the open stop and the first position of a move [rad].
 
-At the stop the error of a digit would be too small.
+On the stop, the position error of a digit would be too small for the comparison.
 """
 GENTLE_CLOSE_N = 7.0
 """Net tension with which spool pairs close their digits [N].
 
-A digit of spool pairs without load cells that closes freely looks like a torn tendon from 8 N on:
-its spool winds fast, and the estimated tension is small (T01).
+From 8 N on, a freely closing digit of spool pairs without load cells looks like a torn tendon
+(fault T01). Its spool winds fast, and its estimated tension is small.
 """
 GENTLE_CLOSE_S = 2.0
 """Time in which spool pairs close their digits [s]."""
@@ -29,7 +29,7 @@ GENTLE_CLOSE_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ExerciseStage:
-    """One stage of the exercise, equal for all digits.
+    """One stage of the exercise, which is the same for all digits.
 
     Attributes:
         name: phase in the log: `settle`, `move`, `close` or `hold`. `move` and `hold` are
@@ -48,7 +48,7 @@ class ExerciseStage:
 
 
 def stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseStage, ...]:
-    """Return the stages of the exercise.
+    """Return the stages of the exercise at one amplitude.
 
     Args:
         amplitude: fraction of the full angles and tensions.
@@ -74,18 +74,18 @@ class Exercise:
     """Program that tightens, then runs the exercise once for each amplitude.
 
     Attributes:
-        amplitudes: fractions of the full angles and tensions, in order.
+        amplitudes: fractions of the full angles and tensions, in the order of execution.
     """
 
     amplitudes: tuple[float, ...] = (1.0,)
 
     @property
     def stages(self) -> tuple[ExerciseStage, ...]:
-        """Return all stages in order."""
+        """Return the stages of all amplitudes, in the order of execution."""
         return tuple(stage for amplitude in self.amplitudes for stage in stages(amplitude))
 
     def stages_of(self, model: HandModel) -> tuple[ExerciseStage, ...]:
-        """Return all stages for a hand. Spool pairs first close gently."""
+        """Return all stages for a hand. Digits of spool pairs first close gently."""
         if not model.is_pair.any():
             return self.stages
         gentle = ExerciseStage("close", GENTLE_CLOSE_S, tension=GENTLE_CLOSE_N)
@@ -98,7 +98,7 @@ class Exercise:
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        """Advance by one tick. See `Program`."""
+        """Advance the exercise by one tick. See `Program`."""
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
             return self._enter(model, progress, estimate, 0, t) if progress.phase == "live" else (progress, events)
@@ -112,7 +112,7 @@ class Exercise:
     def _enter(
         self, model: HandModel, progress: Progress, estimate: Estimate, step: int, t: float
     ) -> ProgressAndEvents:
-        """Enter a stage."""
+        """Enter a stage of the exercise."""
         parts = self.stages_of(model)
         stage = parts[step]
         goals = tuple(_goal(model, d, stage, estimate, t) for d in range(len(model.digits)))

@@ -47,14 +47,14 @@ FOLLOW_START_DEG = 4.0
 SETTLE_AFTER_CLOSE_S = 0.3
 """Time in which a digit without contact comes to rest before the next phase [s]."""
 RELEASED_WITHIN_N = 2.0
-"""Tolerance of the released tension [N]."""
+"""Tension above that of a release at which a tendon still counts as released [N]."""
 RELEASE_TIMEOUT_S = 10.0
-"""Longest wait for a release [s]."""
+"""Longest time that a release may take [s]."""
 REFERENCE_JOINTS = 2
-"""Joints of a digit to which the contact threshold refers.
+"""Number of joints of the digit to which the contact threshold refers.
 
-Each further joint adds its own friction to the estimated tip force, 0.33 N on fingers of three
-joints that touch nothing. They detect a contact long before 1 N.
+Each further joint adds its friction to the estimated tip force. This force is 0.33 N on fingers of
+three joints that touch no object. Such fingers still detect a contact long before 1 N.
 """
 ARRIVAL_S = 0.15
 """Time after the end of a trajectory at which a digit counts as arrived [s]."""
@@ -67,7 +67,10 @@ A digit at rest touches no new object, and creeping friction can resemble a cont
 
 @dataclass(frozen=True, slots=True)
 class TaskProgram:
-    """Program that runs a task. Step 0 takes up the slack, step n is the task's phase n - 1."""
+    """Program that runs a task.
+
+    Step 0 takes up the slack, and step n is phase n - 1 of the task.
+    """
 
     task: Task
 
@@ -140,7 +143,7 @@ class TaskProgram:
                 Event("info", "phase", "", "task complete"),
             )
         phase = self.task.phase[step - 1]
-        # A motion and the phase after a release begin without contact.
+        # A motion begins without contact, and so does the phase after a release.
         free = isinstance(phase, Move | Follow) or (
             step > 1 and isinstance(self.task.phase[step - 2], Release)
         )
@@ -209,9 +212,9 @@ class TaskProgram:
     def _hold_tension(
         self, model: HandModel, phase: Hold, d: int, name: str, estimate: Estimate
     ) -> Vector | None:
-        """Return the tension targets (n_t,) of a held digit [N], from a tension or from a tip force.
+        """Return the tension targets (n_t,) of a digit that holds [N], from a tension or from a tip force.
 
-        If it is None, the digit keeps its goal.
+        If the result is None, the digit keeps its goal.
         """
         digit = model.digits[d]
         tendons = model.digit_tendons[d]
@@ -223,8 +226,8 @@ class TaskProgram:
         if force is None:
             return None
         q = estimate.q[digit.joints]
-        # The torque of springs and gravity, plus the tip force times its lever, in the digit's
-        # coordinates.
+        # This is the torque of springs and gravity, plus the tip force times its lever, in the
+        # coordinates of the digit.
         torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
             digit.joints
         ] + force * reduced_tip_lever(digit, q)
@@ -234,7 +237,7 @@ class TaskProgram:
     def _hold_on(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
-        """Update the grip while holding, and raise the tensions after slip."""
+        """Update the grip during a hold, and raise its tensions after slip."""
         phase = self.task.phase[progress.step - 1]
         if progress.grip is None or not isinstance(phase, Hold):
             return progress, ()
@@ -252,7 +255,7 @@ class TaskProgram:
     def _detect_contact(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
-        """Detect contact of closing digits and let them hold."""
+        """Detect the contact of closing digits, and let these digits hold their tension."""
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, Close):
             return progress, ()
@@ -292,7 +295,7 @@ class TaskProgram:
     def _phase_over(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> bool:
-        """Return True if the present phase has ended."""
+        """Return True if the present phase of the task has ended."""
         phase = self.task.phase[progress.step - 1]
         elapsed = t - progress.since
         if isinstance(phase, Move | Hold):
@@ -336,7 +339,10 @@ class TaskProgram:
 def _closing_digits(
     phase: Move | Follow | Close | Hold | Release, progress: Progress
 ) -> tuple[bool, ...]:
-    """Return for each digit True if it closes until contact. The result is empty in other phases."""
+    """Return for each digit True if it closes until contact.
+
+    In other phases than close, the result is empty.
+    """
     if not isinstance(phase, Close):
         return ()
     rows = zip(progress.goals, progress.contact, strict=True)
@@ -346,7 +352,7 @@ def _closing_digits(
 def _still_tensioned(
     model: HandModel, progress: Progress, phase: Release, estimate: Estimate
 ) -> list[str]:
-    """Return the names of tension-controlled digits above the tension of a release."""
+    """Return the names of tension-controlled digits whose tension is still above that of a release."""
     limit = np.maximum(phase.tension_N, model.redundancy.balance) + RELEASED_WITHIN_N
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
@@ -360,11 +366,11 @@ def _still_tensioned(
 def _grip_plan(
     model: HandModel, stiffness_N_per_mm: float, slip_limit: float | tuple[tuple[str, float], ...] | None
 ) -> GripPlan:
-    """Return the grip that a hold phase requires, per tendon.
+    """Return the grip that a hold phase requires, with numbers for each tendon.
 
     Args:
-        model: the hand.
-        stiffness_N_per_mm: stiffness of the grip.
+        model: model of the hand.
+        stiffness_N_per_mm: stiffness of the grip [N/mm].
         slip_limit: largest tension after slip [N], for all digits or by digit. None without a limit.
     """
     limit = np.full(model.tendon_count, np.nan)
@@ -377,7 +383,7 @@ def _grip_plan(
 
 
 def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
-    """Return a message for a digit away from the start of the curve, empty otherwise."""
+    """Return a message if a digit is too far from the start of its curve, else an empty text."""
     for digit in model.digits:
         angle = np.degrees(coordinates_by_excursion(digit, estimate))
         joints = digit.coupling @ angle
@@ -395,7 +401,10 @@ def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
 
 
 def _curve_of_digit(phase: Follow, digit: DigitModel, estimate: Estimate) -> Curve | None:
-    """Return the curve of a digit, None without an angle. Joints without angles keep their positions."""
+    """Return the curve of a digit, None if the phase gives it no angle.
+
+    Joints without angles keep their positions.
+    """
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:
         angles = tuple(map(math.radians, phase.angle_deg[digit.name]))
@@ -413,13 +422,13 @@ def _curve_of_digit(phase: Follow, digit: DigitModel, estimate: Estimate) -> Cur
 
 @functools.lru_cache(maxsize=64)
 def blind_tip_force(model: HandModel, d: int) -> float:
-    """Return the margin of digit d's tip force for estimated tensions without load cell [N], 0 with load cells."""
+    """Return the margin on digit d's contact threshold for tensions without load cell [N], 0 with load cells."""
     digit = model.digits[d]
     margin = float(model.blind_margin[digit.tendons].mean())
     if margin == 0.0:
         return 0.0
-    # These are the tensions per tip force of the open digit. The estimated tip force is fitted to
-    # them by least squares.
+    # The response is the tensions per tip force of the open digit. The estimated tip force is a
+    # least-squares fit to these tensions.
     response = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
     return margin / float(np.linalg.norm(response))
 
@@ -429,7 +438,7 @@ def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) 
 
     Args:
         goal: goal of the digit.
-        joints: number of the joints.
+        joints: number of joints of the digit.
         threshold: threshold of a moving digit with two joints [N].
         t: time [s].
     """

@@ -1,9 +1,9 @@
-"""Grip of a hold: its stiffness, and the detection of slip, after which the tension is raised.
+"""Grip of a hold: its stiffness, and the detection of slip. After slip, the tension is raised.
 
 If an object slips, it pushes a digit open. The tension stays constant, but the tendon pays out. The
 tendon's excursion, travel less stretch, is known to a few micrometres, so a fraction of a
 millimetre at the object is visible. A force along the hinges moves no joint (J^T F = 0). Therefore
-neither tendons nor joint encoders show a bar of constant thickness that slides along the hinges.
+neither tendons nor joint encoders show when a bar of constant thickness slides along the hinges.
 """
 
 import math
@@ -20,29 +20,32 @@ from handctl.core.types import Event, Vector
 SLIP_EXCURSION_M = 20e-6
 """Excursion difference that counts as slip [m].
 
-Six standard deviations of the excursion in a quiet hold (3.5 um). It is about 0.1 mm/s of tendon,
-0.3 to 1 mm/s of object.
+It is six standard deviations of the excursion in a quiet hold (3.5 um). It corresponds to a speed
+of about 0.1 mm/s along the tendon, and of 0.3 to 1 mm/s at the object.
 """
 NO_DETECTION_S = 0.4
-"""Time without slip detection after the grip's own tension changed [s]. Fingers conform then."""
+"""Time without slip detection after the tension of the grip has changed [s], in which the fingers conform."""
 RAISE_PAUSE_S = 0.1
 """Shortest time between two rises of the tension [s]."""
 RAISE_FACTOR = 1.2
 """Factor by which slip raises every tension of the grip."""
 RAISE_RATE_N_PER_S = 300.0
-"""Rate at which slip raises the tensions [N/s]. Slip is faster than the closing of a grasp."""
+"""Rate at which tensions rise after slip [N/s].
+
+The rate is high, because slip is faster than the closing of a grasp.
+"""
 
 
 class Grip(NamedTuple):
-    """State of a hold, (N,) each, NaN for tendons of digits that do not hold.
+    """State of the grip during a hold. Arrays are (N,), and NaN for tendons of digits that do not hold.
 
     Attributes:
-        tension: tension targets at the beginning [N].
+        tension: tension targets at the beginning of the hold [N].
         anchor: excursion at which a stiff grip pulls exactly these tensions [m], NaN until the
             grip has settled.
         ready: time from which slip is detected [s].
         raised: present factor on the tensions.
-        limited: True after the event that no more tension is allowed.
+        limited: True after the event which reports that no more tension is allowed.
     """
 
     tension: Vector
@@ -53,7 +56,7 @@ class Grip(NamedTuple):
 
     @staticmethod
     def of(model: HandModel, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float) -> "Grip":
-        """Return the grip of goals that have just been set."""
+        """Return the grip at the beginning of a hold, for goals that have just been set."""
         tension = np.full(model.tendon_count, np.nan)
         settling_s = 0.0
         for tendons, goal in zip(model.digit_tendons, goals, strict=True):
@@ -68,10 +71,11 @@ class Grip(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class GripPlan:
-    """Grip that a task asks for.
+    """Grip that a task requires.
 
     Attributes:
-        stiffness: tension per metre that a tendon is pulled out [N/m], 0 keeps the tensions.
+        stiffness: additional tension per metre that a tendon is pulled out [N/m]. With 0, the
+            tensions stay constant.
         limit: (N,) tension up to which slip may raise the tension [N], NaN without a rise. If all
             are NaN, slip is reported only.
     """
@@ -81,7 +85,7 @@ class GripPlan:
 
 
 def grip_excursions(model: HandModel, estimate: Estimate) -> Vector:
-    """Return the excursions (N,) up to a constant [m]: tendon wound at the spool less its stretch."""
+    """Return the excursions (N,) up to a constant [m]: the length wound on the spool less the stretch of the tendon."""
     return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
 
 
@@ -98,7 +102,7 @@ def advance_grip(
     Args:
         model: model of the hand.
         grip: grip of the last tick.
-        plan: grip that the task asks for.
+        plan: grip that the task requires.
         goals: goals of the digits.
         estimate: estimate of this tick.
         t: time [s].
@@ -125,7 +129,7 @@ def advance_grip(
 def _raise_after_slip(
     model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: float
 ) -> tuple[Grip, tuple[Event, ...]]:
-    """Raise the tensions after slip, as far as the task allows."""
+    """Raise the tensions of a grip after slip, as far as the task allows."""
     worst = int(np.argmax(opening))
     digit = next(
         name
@@ -134,8 +138,8 @@ def _raise_after_slip(
     )
     grip = grip._replace(ready=t + RAISE_PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
-    # The factor is that of the tendon which is farthest below its limit. All tendons are raised by
-    # this factor.
+    # The largest factor is that of the tendon which is farthest below its limit. All tensions are
+    # raised by one factor.
     closing = model.redundancy.side > 0.0
     room = plan.limit[closing] / grip.tension[closing]
     max_factor = float(np.nanmax(np.append(room, 1.0)))
@@ -149,11 +153,11 @@ def _raise_after_slip(
 def _held_goals(
     model: HandModel, grip: Grip, plan: GripPlan, goals: tuple[DigitGoal, ...], excursion: Vector
 ) -> tuple[DigitGoal, ...]:
-    """Return the goals with the tensions by slip and stiffness, at least the floor."""
+    """Return the goals with the tensions that slip and stiffness require, but at least the floor."""
     limit = np.fmax(plan.limit, grip.tension)
     raised = np.where(model.redundancy.side > 0.0, grip.raised, 1.0)
     target = np.minimum(raised * grip.tension, limit) + plan.stiffness * (grip.anchor - excursion)
-    # A stiff grip may exceed the limit of slip, up to the hand's own ceiling.
+    # A stiff grip may exceed the limit for slip, up to the ceiling of the hand.
     target = np.clip(
         target,
         np.minimum(model.floor, grip.tension),

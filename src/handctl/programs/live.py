@@ -1,4 +1,4 @@
-"""Programs whose goals come from requests: a live session with `jog` or a client, and a single jog."""
+"""Programs that get their goals from requests: a live session with `jog` or a client, and a single jog."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -43,8 +43,8 @@ from handctl.programs.task_checks import (
 def preload_spline() -> None:
     """Import the spline for the phase `follow` in advance, so that no tick imports it.
 
-    The import takes 0.1 to 0.3 s. The first task of a client with such a phase would end a run in
-    real time.
+    The import takes 0.1 to 0.3 s. If a client's first task with such a phase caused the import
+    within a tick, a run in real time would end.
     """
     import scipy.interpolate  # noqa: F401
 
@@ -60,7 +60,7 @@ class LiveProgram:
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        """Advance by one tick. See `Program`."""
+        """Advance the session by one tick. See `Program`."""
         if progress.task is not None:
             return _carry_out_task(model, progress, progress.task, estimate, measured, t)
         if progress.phase == "start":
@@ -79,7 +79,10 @@ class LiveProgram:
 
 
 LONGEST_HOLD_S = 3600.0
-"""Duration of a task's hold that waits for ``release`` [s], the longest of a task."""
+"""Duration of a task's hold that waits for ``release`` [s].
+
+It is the longest hold that a task allows.
+"""
 
 
 def _carry_out_task(
@@ -90,7 +93,10 @@ def _carry_out_task(
     measured: Measured,
     t: float,
 ) -> ProgressAndEvents:
-    """Advance the task of a live session. After its end, or its failure, the session waits for requests again."""
+    """Advance the task of a live session.
+
+    After its end, or its failure, the session waits for requests again.
+    """
     progress, events = TaskProgram(task).advance(model, progress, estimate, measured, t)
     return (end_task(progress) if progress.finished else progress), events
 
@@ -129,7 +135,7 @@ def begin_task(
 
 
 def _start_refusal(model: HandModel, first: Move, estimate: Estimate) -> Event | None:
-    """Return the event of a first move that is too fast from the present angles, None if it is slow enough."""
+    """Return an event if the first move is too fast from the present angles, or None if it is slow enough."""
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
         angle = end_angles(
@@ -144,7 +150,7 @@ def _start_refusal(model: HandModel, first: Move, estimate: Estimate) -> Event |
 
 
 def release_task(progress: Progress) -> ProgressAndEvents:
-    """End the hold of a task. The phases after it follow."""
+    """End the hold of a task, so that the phases after the hold follow."""
     phase = progress.task.phase[progress.step - 1] if progress.task else None
     if not isinstance(phase, Hold):
         return progress, (
@@ -159,7 +165,7 @@ class JogProgram:
     """Program with one goal for a limited time.
 
     Attributes:
-        request: goal.
+        request: request with the goal.
         duration: time for which the goal is kept [s].
     """
 
@@ -173,7 +179,7 @@ class JogProgram:
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        """Advance by one tick. See `Program`."""
+        """Advance the jog by one tick. See `Program`."""
         progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
         if progress.phase == "live":
             goals = progress.goals
@@ -210,7 +216,7 @@ def apply_goal(
         t: time of the program [s].
         reference: for each digit, (3, n) position, rate and acceleration of the present reference.
             A move of a moving digit starts at its reference. Any other move starts at the estimated
-            angles. With None all moves start at the estimate.
+            angles. If it is None, all moves start at the estimate.
     """
     names = model.hand.digit_names
     values = request.angle_deg if isinstance(request, MoveDigits) else request.tension_N
@@ -296,7 +302,7 @@ def _move(
     duration: float,
     t: float,
 ) -> DigitGoal:
-    """Return a move of a digit, from its present reference (3, n), or from the estimate if that is None."""
+    """Return a move of a digit from its present reference (3, n), or from the estimate if there is no reference."""
     if start is None:
         return motion_to(model.digits[d], estimate, end, duration, t)
     return DigitGoal(Kind.MOTION, continued_move(start, end, duration, model.digits[d].reach), since=t)

@@ -18,12 +18,15 @@ APPROACH_S = 2.0
 APPROACH_RATE_N_PER_S = 20.0
 """Rate of the tension during the approach to the first recorded tension [N/s]."""
 FOLLOW_RATE_N_PER_S = 5000.0
-"""Rate of the tension while the recording is followed [N/s]. The recorded setpoints already have a limited rate."""
+"""Rate of the tension while the recording is followed [N/s].
+
+The recorded setpoints already have a limited rate.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Recorded goals, one row per tick of the present controller.
+    """Recorded goals, with one row per tick of the controller that repeats them.
 
     Attributes:
         q: (ticks, J) joint goals [rad], NaN where the digit held a tension.
@@ -38,7 +41,7 @@ class Recording:
     tension: Vector
 
     def text(self) -> str:
-        """Return the recording as text that reads back to the last bit."""
+        """Return the recording as text, from which ``read`` returns the same numbers to the last bit."""
         table = np.hstack([self.q, self.dq, self.ddq, self.tension])
         # Little-endian float64, so that the text is the same on every machine.
         return base64.b64encode(table.astype("<f8").tobytes()).decode()
@@ -61,9 +64,9 @@ class PlaybackProgram:
 
     Attributes:
         recording: recording to follow.
-        raw: follow the tensions and leave the joints uncontrolled. The speed of the trajectories is
-            fed forward, but no angle is corrected. An error of one newton moves a free finger by 12
-            degrees against its springs.
+        raw: True to follow the recorded tensions and leave the joints uncontrolled. The speed of
+            the trajectories is fed forward, but no angle is corrected. An error of one newton moves
+            a free finger by 12 degrees against its springs.
     """
 
     recording: Recording
@@ -76,7 +79,7 @@ class PlaybackProgram:
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        """Advance by one tick. See `Program`."""
+        """Advance the playback by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):
@@ -108,7 +111,7 @@ class PlaybackProgram:
         return progress, (Event("info", "phase", "", "approach: slowly to the first pose"),)
 
     def _follow(self, model: HandModel, progress: Progress) -> Progress:
-        """Set the goals of the present row."""
+        """Set the goals of the present row of the recording."""
         i = progress.step
         rows = self.recording
         goals = []

@@ -1,4 +1,4 @@
-"""Programs and their progress: the goals of all digits, tick after tick."""
+"""Interface of programs, which set the goals of all digits in every tick, and the progress of a program."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,12 +18,12 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """State of a program, with equal fields for all programs. The hash of the controller's state includes it.
+    """State of a program, with the same fields for all programs. The hash of the controller's state includes it.
 
     Attributes:
         step: index of the present step.
         since: time at which the present step began [s].
-        goals: goals of the digits.
+        goals: goal of each digit.
         contact: for each digit, True if it is in contact.
         touching: for each digit, number of consecutive ticks with evidence of contact. Before the
             first close phase, programs use it as a counter.
@@ -31,7 +31,7 @@ class Progress:
         finished: True if the program has ended.
         failure: reason why the program gave up, empty otherwise.
         record: numbers for the result of the program.
-        tare: new tares of the load cells [N], empty for the calibration's.
+        tare: new tares of the load cells [N], empty if the tares of the calibration apply.
         closing: for each digit, True if it closes until contact. It is empty in other phases.
         grip: grip of a hold, None in other phases.
         task: task that a live session carries out, None otherwise.
@@ -62,7 +62,7 @@ ProgressAndEvents = tuple[Progress, tuple[Event, ...]]
 
 
 class Program(Protocol):
-    """Interface of a program. A program is immutable. All changes are in `Progress`."""
+    """Interface of a program. A program is immutable, and all changes are in its `Progress`."""
 
     def initial(self, model: HandModel) -> Progress:
         """Return the progress before the hand is armed."""
@@ -71,7 +71,7 @@ class Program(Protocol):
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        """Advance by one tick while the hand is active.
+        """Advance the program by one tick while the hand is active.
 
         Args:
             model: model of the hand.
@@ -87,7 +87,10 @@ class Program(Protocol):
 
 
 TARE_PHASE = "tare"
-"""Step of commissioning that measures the tares. Before its end the zeros of the load cells are unknown."""
+"""Phase of commissioning that measures the tares.
+
+Before its end, the zeros of the load cells are unknown.
+"""
 TIGHTEN_MARGIN_N = 1.5
 """Tension above the floor to which slack is taken up [N].
 
@@ -108,7 +111,10 @@ def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 
 
 def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
-    """Return tensions (n_t,) of a digit that take up slack [N]. Tensions of surplus tendons make no torque."""
+    """Return tensions (n_t,) of a digit that take up slack [N].
+
+    Tensions of surplus tendons make no torque.
+    """
     balance = model.redundancy.balance[tendons]
     least = model.floor[tendons] + TIGHTEN_MARGIN_N
     least = np.where(model.is_pair[tendons], 0.0, least)  # a spool pair is taut by its pretension
@@ -118,9 +124,10 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
 def pull_tensions(model: HandModel, d: int, tension: float | tuple[float, ...], estimate: Estimate) -> Vector:
     """Return tensions (n_t,) of digit d under tension control [N].
 
-    Tendons that close the digit have the given tension. Their antagonists have the balance. A digit
-    of spool pairs presses with its tip. The given tension is its largest net tension. If the
-    tension is given for each tendon, it is used for each.
+    If one tension is given, the tendons that close the digit get this tension, and their
+    antagonists their balance tension. A digit of spool pairs then presses with its tip, and the
+    given tension is its largest net tension. If a tension is given for each tendon, each tendon
+    gets its tension.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
@@ -134,7 +141,7 @@ def pull_tensions(model: HandModel, d: int, tension: float | tuple[float, ...], 
 
 
 def tension_goal(model: HandModel, d: int, tension: Vector, rate: float, estimate: Estimate) -> DigitGoal:
-    """Return the goal of digit d at tensions (n_t,) [N], approached at a rate [N/s].
+    """Return the goal of digit d to approach tensions (n_t,) [N] at a rate [N/s].
 
     Spool pairs that move the digit sideways hold their position.
     """
@@ -145,9 +152,9 @@ def tension_goal(model: HandModel, d: int, tension: Vector, rate: float, estimat
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
-    """Return tensions (n_t,) of a released digit d [N]: the given tension, or the balance of antagonists.
+    """Return tensions (n_t,) of a released digit d [N]: the given tension, or the balance tensions of antagonists.
 
-    A spool pair has no net tension then.
+    A released spool pair has no net tension.
     """
     tendons = model.digit_tendons[d]
     balance = model.redundancy.balance[tendons]
@@ -157,18 +164,18 @@ def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
 HOLD_STILL_S = 1.0
 """Duration of the trajectory that holds sideways joints where they are [s].
 
-Any time is possible, because nothing moves.
+Any duration is possible, because these joints do not move.
 """
 
 
 def slack_tendons(model: HandModel, estimate: Estimate) -> list[str]:
-    """Return the names of the tendons that carry less than half of the floor."""
+    """Return the names of the tendons that are slack, or whose tension is below half of the floor."""
     taut = ~np.asarray(estimate.slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
     return [name for name, ok in zip(model.hand.tendon_names, taut, strict=True) if not ok]
 
 
 def coordinates_by_excursion(digit: DigitModel, estimate: Estimate) -> Vector:
-    """Return the coordinates (n_c,) of a digit by its excursions [rad].
+    """Return the coordinates (n_c,) of a digit that follow from its excursions [rad].
 
     Contact may turn the joints further than the excursions show.
     """
@@ -176,6 +183,6 @@ def coordinates_by_excursion(digit: DigitModel, estimate: Estimate) -> Vector:
 
 
 def motion_to(digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float) -> DigitGoal:
-    """Return a goal that moves a digit's coordinates to an angle, or to one angle each [rad], in a time [s]."""
+    """Return a goal that moves all coordinates of a digit to one angle, or each to its angle [rad], in a time [s]."""
     start = coordinates_by_excursion(digit, estimate)
     return DigitGoal(Kind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t)

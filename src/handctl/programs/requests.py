@@ -1,4 +1,4 @@
-"""Requests to a running controller: one JSON object per datagram, validated here.
+"""Requests to a running controller. Each is one JSON object in a datagram, which this module validates.
 
 Requests enter the tick as text, so a log is re-executed with exactly the same requests.
 """
@@ -22,7 +22,10 @@ class RequestBase(Document):
     """Fields of every request."""
 
     by: str = Field("", max_length=40, pattern=r"^[\w.-]*$")
-    """Sender of the request, e.g. a program and a number. By it the sender recognises the answer."""
+    """Sender of the request, e.g. a program and a number.
+
+    By this text, the sender recognises the answer.
+    """
 
 
 class Arm(RequestBase):
@@ -32,7 +35,7 @@ class Arm(RequestBase):
 
 
 class Stop(RequestBase):
-    """Relax the tensions, disable the drives, confirm, and end the run."""
+    """Relax the tensions, disable the drives, confirm that they are disabled, and end the run."""
 
     do: Literal["stop"]
 
@@ -50,17 +53,20 @@ class Clear(RequestBase):
 
 
 class CommandBase(RequestBase):
-    """Fields of a request that moves the hand. One client commands at a time."""
+    """Fields of a request that moves the hand. Only one client at a time commands the hand."""
 
     client: str = Field("", max_length=40, pattern=r"^[\w.-]*$")
-    """Client that commands. All requests without a client count as one client."""
+    """Name of the client that commands the hand.
+
+    All requests without a name count as one client.
+    """
     take_over: bool = False
     """True to take the command over from another client."""
     lease_s: float | None = Field(None, ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)
     """Longest silence of this client [s].
 
-    Each command and each `alive` restarts this time. After this time moving digits
-    come to rest, and after twice this time the hand relaxes. Without it the last goal stays without a time limit."""
+    Each command and each `alive` restarts this time. After this time, moving digits come to rest, and after twice this
+    time the hand relaxes. If it is not given, the last goal applies without a time limit."""
 
 
 class Alive(RequestBase):
@@ -68,20 +74,23 @@ class Alive(RequestBase):
 
     do: Literal["alive"]
     client: str = Field(max_length=40, pattern=r"^[\w.-]*$")
-    """Client that is alive. A client that does not command is ignored."""
+    """Name of the client that is alive. A client that does not command the hand is ignored."""
 
 
 class MoveDigits(CommandBase):
-    """Move digits or joints to angles. An angle by digit applies to all its joints."""
+    """Move digits or joints to angles. The angle of a digit applies to all its joints."""
 
     do: Literal["move"]
     angle_deg: dict[str, Angle] = Field(min_length=1)
-    """Angle by digit, or by joint of the hand file."""
+    """Angle by the name of a digit, or by the name of a joint in the hand file."""
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=600)
 
 
 class Stay(CommandBase):
-    """Bring the moving digits to rest at their present positions. Digits that hold a tension continue."""
+    """Bring the moving digits to rest at their present positions.
+
+    Digits that hold a tension continue.
+    """
 
     do: Literal["stay"]
 
@@ -93,28 +102,34 @@ class Leave(CommandBase):
 
 
 class OpenStream(CommandBase):
-    """Begin a stream of targets. A stream that is open ends."""
+    """Begin a stream of targets. A stream that is already open ends."""
 
     do: Literal["stream"]
     stream: str = Field(min_length=1, max_length=40, pattern=r"^[\w.-]*$")
     """Name of the stream, which every target repeats."""
     space: Literal["joint", "digit", "tension", "tip_force"]
-    """Meaning of a target: an angle for each joint [deg], one angle for all joints of a digit [deg], a tension for each
-    tendon [N], or a force at the tip of a digit [N]."""
+    """Meaning of a target.
+
+    It is an angle for each joint [deg], one angle for all joints of a digit [deg], a tension for
+    each tendon [N], or a force at the tip of a digit [N].
+    """
     names: tuple[str, ...] = Field(min_length=1, max_length=MAX_TARGET_VALUES)
-    """Names of the values of a target, in order."""
+    """Names of the values of a target, in the order of the values."""
     rate_Hz: float = Field(ge=1, le=1000)
     """Rate at which the client sends targets."""
     interpolation: Literal["linear", "minimum_jerk"] = "linear"
     """Motion from one target to the next. Tensions and forces are always linear."""
     stiffness_N_m_per_rad: float | None = Field(None, gt=0, le=1000)
-    """Stiffness of the joints against a push [N m/rad]. Without it the digits have the full stiffness of the gains."""
+    """Stiffness of the joints against a push [N m/rad].
+
+    By default, the digits have the full stiffness of the gains.
+    """
     damping_ratio: float = Field(1.0, ge=0.5, le=2)
-    """Damping of a stiffness, as a multiple of the damping ratio of the gains."""
+    """Damping ratio of joints with this stiffness, as a multiple of the damping ratio of the gains."""
 
 
 class Grasp(CommandBase):
-    """Carry out a task up to its first hold, and hold until ``release``."""
+    """Carry out a task up to its first hold, and hold until the request ``release``."""
 
     do: Literal["grasp"]
     task: Task
@@ -122,7 +137,7 @@ class Grasp(CommandBase):
 
 
 class ReleaseGrasp(CommandBase):
-    """Carry out the phases of the task after the hold."""
+    """End the hold of a task, and carry out the phases of the task after the hold."""
 
     do: Literal["release"]
 
@@ -136,7 +151,7 @@ class CloseStream(CommandBase):
 
 
 class HoldTension(CommandBase):
-    """Hold tensions, one for all tendons of a digit."""
+    """Hold tensions. The tension of a digit applies to all its tendons."""
 
     do: Literal["hold"]
     tension_N: dict[str, Tension] = Field(min_length=1)
@@ -148,7 +163,7 @@ class SetGains(RequestBase):
 
     do: Literal["gains"]
     set: dict[str, float] = Field(min_length=1)
-    """Value by key, e.g. `motion.force_N`. If one value is refused, none is applied."""
+    """Value by key, e.g. `motion.force_N`. If one value is refused, no value is applied."""
 
 
 Request = (
@@ -160,7 +175,7 @@ _ACCEPTED_PREFIX = "asked: "
 _ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 LONGEST_LINE = 200
-"""Longest line that quotes a refused request [characters]."""
+"""Largest length of a line with the reason for refusing a request [characters]."""
 REFUSED_PREFIX = "refused: "
 """Prefix of the event of a refused request."""
 
@@ -177,7 +192,7 @@ def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str
     """Return the event texts of one sender's request, None if this tick has no request of the sender.
 
     Args:
-        by: sender.
+        by: sender of the request.
         events: events of the tick, as in a status line.
     """
     texts: list[str] | None = None
@@ -198,7 +213,7 @@ class Target(NamedTuple):
         stream: name of the stream.
         number: number of the target, which rises from one target to the next.
         sent_ns: time at which the client sent the target [ns of the run].
-        values: one per name of the stream, in its unit. Not checked.
+        values: one value per name of the stream, in the unit of the stream. They are not checked.
     """
 
     stream: str
@@ -212,7 +227,10 @@ _TARGET = '{"do": "target", '
 
 
 def target_text(stream: str, number: int, sent_ns: int, values: Sequence[float]) -> str:
-    """Return the request of a target, see ``Target``. Values are written to the last bit."""
+    """Return a target as the text of a request, see ``Target``.
+
+    Values are written to the last bit.
+    """
     return f'{_TARGET}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {json.dumps(list(values))}}}'
 
 
@@ -226,7 +244,7 @@ _ALIVE = '{"do": "alive", '
 
 
 def alive_text(client: str) -> str:
-    """Return the request that renews the lease of a client, see ``Alive``."""
+    """Return the text of the request that renews the lease of a client, see ``Alive``."""
     return f'{_ALIVE}"client": "{client}"}}'
 
 
@@ -236,7 +254,7 @@ def is_routine(text: str) -> bool:
 
 
 def parse_target(text: str) -> Target | None:
-    """Parse a target. Return None for a text of another form."""
+    """Parse the text of a target. Return None for a text of another form."""
     try:
         fields = json.loads(text)
         stream, number, sent_ns = fields["stream"], fields["n"], fields["sent_ns"]

@@ -1,4 +1,4 @@
-"""Streams of targets from a client: conversion of a target to goals of the digits."""
+"""Streams of targets from a client, and conversion of a target to goals of the digits."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -21,21 +21,24 @@ from handctl.programs.requests import OpenStream
 MOTION_MARGIN_TICKS = 2
 """Number of control periods by which a motion to a target is prolonged.
 
-A target that is late by less than this time causes no stop.
+If the next target is late by less than this time, the motion does not stop.
 """
 STOP_DURATION_S = 0.15
-"""Duration of the motion to a stop [s]."""
+"""Duration of the motion with which a streamed digit comes to rest [s]."""
 MIN_HOLD_PERIODS = 2
-"""Smallest number of stream periods without a target before the hand holds. One target may be lost."""
+"""Smallest number of stream periods without a target before the hand holds, so that one target may be lost."""
 MAX_TARGET_VALUES_BY_SPACE = {"joint": 720.0, "digit": 720.0, "tension": 5000.0, "tip_force": 500.0}
-"""Largest value that counts as a target, by space [deg, N].
+"""Largest value that a target may have, by space of the stream [deg, N].
 
 A larger value is a mistake of the client, and is refused.
 """
 UNITS = {"joint": "deg", "digit": "deg", "tension": "N", "tip_force": "N"}
-"""Unit of the values of a target, by space."""
+"""Unit of the values of a target, by space of the stream."""
 MIN_STIFFNESS_FRACTION = 0.05
-"""Smallest fraction of the gains' stiffness. With less stiffness friction determines the position of a digit."""
+"""Smallest fraction of the gains' stiffness.
+
+With less stiffness, friction would determine a digit's position.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +47,15 @@ class StreamPlan:
 
     Attributes:
         name: name of the stream, which every target repeats.
-        client: client that opened it.
+        client: client that opened the stream.
         space: meaning of a target, see ``requests.OpenStream``.
         names: names of the values.
         interpolation: motion from target to target: "linear" or "minimum_jerk".
         period: time from one target to the next [s].
         horizon: time between the sending of a target and the moment at which the hand shall reach
-            it [s]. softness: stiffness of the streamed digits [N m/rad]. None for the stiffness of
-            the gains.
+            it [s].
+        softness: stiffness of the streamed digits [N m/rad]. If it is None, they have the stiffness
+            of the gains.
         damping_ratio: multiple of the gains' damping ratio.
     """
 
@@ -76,7 +80,7 @@ class StreamStatus(NamedTuple):
 
     Attributes:
         number: number of the latest accepted target, -1 before the first.
-        age_s: time since it was sent [s], NaN without one.
+        age_s: time since this target was sent [s], NaN before the first target.
         accepted: accepted targets of the stream.
         clipped: accepted targets that were clipped to the range of a joint.
         late: ignored targets: repeated, overtaken or too old.
@@ -121,7 +125,7 @@ class TargetMapping(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def mapping_of_stream(model: HandModel, space: str, names: tuple[str, ...]) -> TargetMapping:
-    """Return the map from the values of a stream to coordinates."""
+    """Return the map from the values of a stream's target to the coordinates of the digits."""
     hand = model.hand
     values = np.zeros((model.coordinate_count, len(names)))
     digits = list[int]()
@@ -136,8 +140,8 @@ def mapping_of_stream(model: HandModel, space: str, names: tuple[str, ...]) -> T
             else []
         )
         if given:
-            # These are the coordinates nearest to the angles, because joints that springs couple
-            # turn together.
+            # The result is the coordinates nearest to the given angles, because joints that springs
+            # couple turn together.
             columns = [names.index(hand.joints[digit.joints][j]) for j in given]
             values[places, columns] = np.linalg.pinv(digit.coupling[given])
             digits.append(d)
@@ -169,7 +173,7 @@ def stream_problem(model: HandModel, request: OpenStream) -> str:
 
 
 def plan_of_request(model: HandModel, request: OpenStream) -> StreamPlan | str:
-    """Return the stream of a request, or the reason to refuse it."""
+    """Return the stream that a request opens, or the reason to refuse the request."""
     if reason := stream_problem(model, request):
         return reason
     slowest = MIN_HOLD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
@@ -186,7 +190,7 @@ def plan_of_request(model: HandModel, request: OpenStream) -> StreamPlan | str:
 FLOOR_MARGIN_N = 0.5
 """Margin of the tensions above the floor in a posture that counts as holdable [N]."""
 HOLDABLE_NEWTON_STEPS = 4
-"""Steps of Newton's method towards a holdable posture.
+"""Largest number of Newton steps towards a holdable posture.
 
 Because of gravity, which the slope does not include, more than one step may be necessary.
 """
@@ -195,12 +199,12 @@ Because of gravity, which the slope does not include, more than one step may be 
 def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
     """Return the nearest coordinates that taut tendons can hold against springs and gravity [rad].
 
-    A tendon that flexes the outer joints flexes the inner ones, too. Bending the outer joints alone
-    would need an inner tendon that pushes, and the monitor would find it slack.
+    A tendon that flexes the outer joints also flexes the inner joints. To bend the outer joints
+    alone, an inner tendon would have to push, and the safety monitor would find this tendon slack.
 
     Args:
-        digit: the digit.
-        coordinates: (n_c,) target [rad].
+        digit: model of the digit.
+        coordinates: (n_c,) coordinates of the target [rad].
         floor: (n_t,) smallest tensions [N].
     """
     if not _is_held_by_each_tendon(digit):
@@ -219,7 +223,7 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
 
 
 def _is_held_by_each_tendon(digit: DigitModel) -> bool:
-    """Return True for a digit whose posture determines the tensions, and not all of them rise with the angles."""
+    """Return True for a digit with several coordinates and as many tendons, whose posture determines all tensions."""
     tendons, count = digit.reduced_moment_arms.shape
     return bool(tendons == count and count > 1)
 
@@ -239,7 +243,7 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
 
     The stiffness of a tendon's loop [N/m] times its moment arm squared is the stiffness of the
     joints. A damping that falls with the root of the stiffness keeps the damping ratio. Neither
-    exceeds the gains, which are stable.
+    exceeds the value of the gains, with which the loop is stable.
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)
@@ -260,10 +264,10 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
 def tensions_of(
     model: HandModel, stream: StreamPlan, values: Vector, present: Vector, q: Vector
 ) -> Vector:
-    """Return the tensions (N,) of a target [N], not limited yet.
+    """Return the tensions (N,) for a target [N], before they are limited.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         stream: stream of tensions or forces.
         values: (V,) values of the target [N].
         present: (N,) present tension setpoints [N]. Tendons without a value keep their present
@@ -277,8 +281,8 @@ def tensions_of(
     for name, force in zip(stream.names, values.tolist(), strict=True):
         digit = model.digits[hand.digit_names.index(name)]
         angles, tendons = q[digit.joints], digit.tendons
-        # The torque of springs and gravity, plus the tip force times its lever, in the digit's
-        # coordinates.
+        # This is the torque of springs and gravity, plus the tip force times its lever, in the
+        # coordinates of the digit.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
         torque += max(force, 0.0) * reduced_tip_lever(digit, angles)
         arms = digit.at(angles).reduced_moment_arms
@@ -291,11 +295,11 @@ def tensions_of(
 def streamed_goals(
     progress: Progress, digits: tuple[int, ...], tension: tuple[Vector, ...] | None
 ) -> Progress:
-    """Return the progress with digits that follow a stream.
+    """Return the progress with goals of digits that follow a stream.
 
     Args:
         progress: progress with the present goals.
-        digits: indices of the digits.
+        digits: indices of the digits that follow the stream.
         tension: for each digit of the hand, the present tension setpoints [N] of a stream of
             tensions, None for a stream of angles.
     """
@@ -325,7 +329,7 @@ def progress_at_rest(
     reach: tuple[tuple[Vector, Vector], ...],
     only_streamed: bool,
 ) -> Progress:
-    """Return the progress with moving digits that come to rest.
+    """Return the progress with goals that bring moving digits to rest.
 
     Args:
         progress: progress with the present goals.
@@ -333,7 +337,7 @@ def progress_at_rest(
         tension: for each digit, the present tension setpoints [N].
         t: time of the program [s].
         reach: for each digit, lowest and highest coordinates [rad].
-        only_streamed: only digits that follow a stream come to rest.
+        only_streamed: True if only digits that follow a stream come to rest.
     """
     goals = list(progress.goals)
     for d, goal in enumerate(goals):
@@ -361,8 +365,9 @@ def continued_move(
 ) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference, at rest at the end.
 
-    A long move that continued a fast motion would run far beyond its ends. Therefore the earlier
-    motion fades in a shorter time, the longest one that keeps the joints within their range.
+    If a long move continued a fast motion until its end, it would run far beyond both its ends.
+    Therefore the earlier motion fades in a shorter time. This time is halved until the joints stay
+    within their range.
 
     Args:
         reference: (3, n) position, rate and acceleration [rad, s].

@@ -1,4 +1,4 @@
-"""Task files: the phases of a grasp as a user writes them."""
+"""Task files, in which a user describes the phases of a grasp."""
 
 import functools
 import math
@@ -26,31 +26,41 @@ Force = Annotated[float, Field(ge=0, le=200)]
 Angles = Angle | Annotated[tuple[Angle, ...], Field(min_length=1)]
 """Angles of a digit: one for all its joints, or one for each of its coordinates."""
 Tensions = Tension | Annotated[tuple[Tension, ...], Field(min_length=1)]
-"""Tensions of a digit: one for all its tendons, or one for each."""
+"""Tensions of a digit: one for all its tendons, or one for each tendon."""
 Duration = Annotated[float, Field(gt=0, le=3600)]
 
 
 FOLLOW_SPEED_DEG_S = 700.0
 """Largest joint speed of a motion [deg/s].
 
-A rotor that stops at once adds tension in proportion to its speed.
+If a rotor stops at once, it adds tension in proportion to its speed.
 """
 SHORTEST_MOVE_S = 0.05
-"""Shortest duration of a move [s]. A shorter move would be a step, and the square of its duration may underflow."""
+"""Shortest duration of a move [s].
+
+A shorter move would be a step, and the square of its duration may underflow.
+"""
 RESERVED_NAMES = ("start", "tare")
-"""Phase names that the controller itself uses, for the start of a program and for load cells without a tare."""
+"""Phase names that a task must not use.
+
+The controller itself uses them, for the start of a program and for load cells without a tare.
+"""
 
 
 class Move(Document):
-    """Move to joint angles along a minimum-jerk path. Digits without an angle keep their positions."""
+    """Move to joint angles along a minimum-jerk path.
+
+    Digits without an angle keep their positions.
+    """
 
     kind: Literal["move"]
     name: str = "move"
     angle_deg: Angle | dict[str, Angles]
-    """One angle for all joints, or one per digit or joint (``index``, ``index_j1``).
+    """One angle for all joints, or one angle for each digit or joint (``index``, ``index_j1``).
 
-    A one-tendon digit takes the mean joint angle. A digit with a tendon for each joint also takes a
-    list, from the palm outwards. Joints without an angle keep their positions.
+    The angle of a digit with one tendon is its mean joint angle. A digit with a tendon for each
+    joint also accepts a list of angles, from the palm outwards. Joints without an angle keep their
+    positions.
     """
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=3600)
 
@@ -69,17 +79,22 @@ class Close(Document):
 
 
 class Hold(Document):
-    """Hold a tension or a tip force with the digits in contact. The other digits keep their positions."""
+    """Hold a tension or a tip force with the digits in contact.
+
+    The other digits keep their positions.
+    """
 
     kind: Literal["hold"]
     name: str = "hold"
     tension_N: Tension | dict[str, Tensions] | None = None
     tip_force_N: Force | dict[str, Force] | None = None
     slip_limit_N: Tension | dict[str, Tension] | None = None
-    """Tension up to which slip raises the tensions. Without it slip is reported only."""
+    """Tension up to which slip raises the tensions. Without this limit, slip is only reported."""
     stiffness_N_per_mm: float = Field(0.0, ge=0, le=50)
-    """Additional tension per millimetre that a tendon is pulled out after the grip has settled, 0
-    for constant tension."""
+    """Additional tension per millimetre that a tendon is pulled out after the grip has settled.
+
+    With 0, the tension is constant.
+    """
     rate_N_per_s: float = Field(60.0, gt=0, le=5000)
     duration_s: Duration = 3.0
 
@@ -91,7 +106,10 @@ class Hold(Document):
 
 
 class Release(Document):
-    """Lower the tension. From the next phase on the digits count as free and need a new contact to hold."""
+    """Lower the tensions.
+
+    From the next phase on, the digits count as free, and need a new contact to hold.
+    """
 
     kind: Literal["release"]
     name: str = "release"
@@ -101,14 +119,20 @@ class Release(Document):
 
 
 class Follow(Document):
-    """Follow a curve through given angles, from rest to rest. The digits must already be at the start."""
+    """Follow a curve through given angles, from rest to rest.
+
+    The digits must already be at the start.
+    """
 
     kind: Literal["follow"]
     name: str = "follow"
     time_s: tuple[Annotated[float, Field(ge=0, le=3600)], ...] = Field(min_length=2, max_length=100_000)
-    """Times, rising from 0."""
+    """Times of the given angles, rising from 0."""
     angle_deg: dict[str, tuple[Angle, ...]] = Field(min_length=1)
-    """Angles of each digit or joint, one for each time. Digits and joints without angles keep their positions."""
+    """Angles of each digit or joint, one for each time.
+
+    Digits and joints without angles keep their positions.
+    """
 
     @model_validator(mode="after")
     def _rising(self) -> "Follow":
@@ -129,7 +153,7 @@ def _peak_speed(times: tuple[float, ...], angles: tuple[float, ...]) -> float:
     with np.errstate(all="ignore"):
         try:
             return curve_through(times, angles).peak_speed()
-        # scipy refuses slopes that are not finite.
+        # scipy raises ValueError for slopes that are not finite.
         except ValueError:
             return math.inf
 
@@ -139,7 +163,7 @@ def curve_through(times: tuple[float, ...], angles: tuple[float, ...]) -> Curve:
     """Return the curve of one coordinate through angles [rad] at times [s].
 
     The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
-    later tick, and takes them from the cache.
+    later tick, and takes the curves from the cache.
     """
     return Curve.through(times, angles, 1)
 
@@ -148,7 +172,10 @@ Phase = Annotated[Move | Close | Hold | Release | Follow, Field(discriminator="k
 
 
 class Task(Document):
-    """A grasp as a list of phases. The hand arms before the first phase and relaxes after the last."""
+    """A grasp as a list of phases.
+
+    The hand arms before the first phase and relaxes after the last.
+    """
 
     schema_: int = Field(alias="schema", ge=1, le=1)
     name: str
@@ -208,7 +235,7 @@ def load_task(path: Path) -> Task:
 
 
 class DigitShape(NamedTuple):
-    """Numbers that describe a digit in a task.
+    """Shape of a digit: how many values a task may give for it.
 
     Attributes:
         coordinates: number of reduced coordinates, each with an angle.
@@ -222,7 +249,7 @@ class DigitShape(NamedTuple):
 
 
 def shapes_of_digits(hand: Hand) -> dict[str, DigitShape]:
-    """Return the shape of each digit by its name."""
+    """Return the shape of each digit of a hand, by the name of the digit."""
     counts = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
     return {
         digit.name: DigitShape(
@@ -239,7 +266,7 @@ def check_task(
     where: str,
     digit_shapes: Mapping[str, DigitShape] | None = None,
 ) -> None:
-    """Check a task against a hand.
+    """Check that the names and numbers in a task suit a hand.
 
     Args:
         task: task to check.
@@ -276,7 +303,7 @@ def check_task(
 
 
 def _check_count(digit: str, value: object, digit_shapes: Mapping[str, DigitShape] | None, key_path: str) -> None:
-    """Check the length of a list: one angle per coordinate, one tension per tendon."""
+    """Check the length of a list of values for a digit: one angle per coordinate, or one tension per tendon."""
     if digit_shapes is None or not isinstance(value, tuple):
         return
     if digit not in digit_shapes:
@@ -291,7 +318,7 @@ def _check_count(digit: str, value: object, digit_shapes: Mapping[str, DigitShap
 
 
 def _digit_of_joint(digit_shapes: Mapping[str, DigitShape] | None) -> dict[str, str]:
-    """Return the digit of each joint."""
+    """Return the name of the digit of each joint, by the name of the joint."""
     return {joint: name for name, shape in (digit_shapes or {}).items() for joint in shape.joints}
 
 
@@ -299,7 +326,7 @@ Value = TypeVar("Value")
 
 
 def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
-    """Return the value of a phase for a digit, None if the phase names other digits only."""
+    """Return the value of a phase for a digit, or None if the phase gives values only for other digits."""
     return value.get(digit) if isinstance(value, dict) else float(value)
 
 
@@ -311,11 +338,11 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
 
 
 def end_angles(value: float | dict[str, Angles], digit: "DigitModel", now: Vector) -> Angles | Vector | None:
-    """Return the coordinates of a digit at the end of a phase [deg], None without an angle.
+    """Return the coordinates of a digit at the end of a phase [deg], None if the phase gives the digit no angle.
 
     Args:
         value: angles of the phase, by digit or joint [deg].
-        digit: the digit.
+        digit: model of the digit.
         now: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
             angles.
     """

@@ -1,4 +1,4 @@
-"""Checks of a task against a hand: speed of the moves, joint ranges, tip forces, slip limits."""
+"""Checks whether a hand can execute a task: speeds of moves, joint ranges, tip forces, and slip limits."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -36,14 +36,15 @@ def check_task_for_hand(task: Task, hand: Hand, where: str, digits: Sequence[Dig
 
     Args:
         task: task to check.
-        hand: hand that shall execute it.
+        hand: hand that shall execute the task.
         where: name of the file, for messages.
-        digits: models of the hand's digits. Without them they are built, which takes milliseconds.
+        digits: models of the hand's digits. If they are not given, they are built, which takes
+            milliseconds.
 
     Raises:
-        ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of
-            the task, a move is too fast, a tip force is for an underactuated digit, or a slip limit
-            is below the tension.
+        ConfigError: if the task names an unknown digit, or gives a wrong number of values. Also if
+            a tension or an angle is out of range, a move is too fast, a tip force is for an
+            underactuated digit, or a slip limit is below the tension.
     """
     check_task(
         task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes_of_digits(hand)
@@ -56,7 +57,7 @@ def check_task_for_hand(task: Task, hand: Hand, where: str, digits: Sequence[Dig
 
 
 def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
-    """Check that no move exceeds the largest joint speed, from any position in which the phases before may end.
+    """Check that no move exceeds the largest joint speed, wherever the phases before the move may end.
 
     Args:
         task: task whose numbers fit the digits.
@@ -64,7 +65,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
         where: name of the file, for messages.
 
     Raises:
-        ConfigError: A move has too little time.
+        ConfigError: A move has too short a duration.
     """
     digits = {model.name: model for model in models}
     zeros = {name: np.zeros(model.coupling.shape[1]) for name, model in digits.items()}
@@ -89,7 +90,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
 
 
 def _coordinates_after(phase: Phase, digit: DigitModel, now: Vector) -> Vector | None:
-    """Return the coordinates of a digit after a phase that begins at ``now`` [deg], None without a motion."""
+    """Return the coordinates of a digit after a phase that begins at ``now`` [deg], None if the digit does not move."""
     if isinstance(phase, Follow):
         last = {name: angles[-1] for name, angles in phase.angle_deg.items()}
         given = end_angles(last, digit, now)  # type: ignore[arg-type]  # a dict of numbers
@@ -101,18 +102,18 @@ def _coordinates_after(phase: Phase, digit: DigitModel, now: Vector) -> Vector |
 
 
 COUPLING_TOLERANCE_DEG = 0.5
-"""Largest difference of an angle from the coupled joints of its digit [deg]."""
+"""Largest difference between a given joint angle and the nearest angle that the digit's coupling allows [deg]."""
 
 
 ROUNDING_DEG = 1e-6
-"""Largest rounding error of a sum of angles [deg]."""
+"""Largest rounding error that a sum of angles may have [deg]."""
 
 
 def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel]) -> None:
-    """Check the angles of a task for each digit. Beyond the range a joint only presses on the stop.
+    """Check that the angles of a task are within the range of each digit. Beyond it, a joint would press on its stop.
 
     Args:
-        task: task that suits the hand otherwise.
+        task: task that suits the hand in all other respects.
         hand: hand with the joints.
         where: name of the file, for messages.
         digits: models of the hand's digits.
@@ -135,7 +136,7 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
 
 
 def _check_joints(phase: Move | Close | Follow, digit: DigitModel, described: Digit, place: str) -> None:
-    """Check that joint angles are within their limits, and that coupled joints can have them together."""
+    """Check that joint angles are within their limits, and that coupled joints can have these angles together."""
     given = joint_values(phase.angle_deg, digit)
     if not given:
         return
@@ -144,7 +145,7 @@ def _check_joints(phase: Move | Close | Follow, digit: DigitModel, described: Di
         # The joints of a digit with one tendon turn together until one joint is at its limit.
         ends = np.sort(digit.coupling @ np.array(coordinate_range_deg(described)).T, axis=1)
         low, high = np.maximum(low, ends[:, 0]), np.minimum(high, ends[:, 1])
-    # One row per time of a curve.
+    # A curve has one row for each of its times.
     for row in np.atleast_2d(np.array(list(given.values()), dtype=float).T):
         for j, angle in zip(given, row, strict=True):
             if not low[j] - ROUNDING_DEG <= angle <= high[j] + ROUNDING_DEG:
@@ -156,14 +157,14 @@ def _check_joints(phase: Move | Close | Follow, digit: DigitModel, described: Di
 
 
 def check_tip_force(task: Task, hand: Hand, where: str) -> None:
-    """Check that no tip force is required of an underactuated digit.
+    """Check that a task requires no tip force of an underactuated digit.
 
-    The tension of a digit with fewer tendons than joints fixes one combination of joint torques,
-    not the force at the tip. At a requested 4 N, fingers of `jamia` curled up on a wall and pressed
-    with 23 to 56 N.
+    The tensions of a digit with fewer tendons than joints do not determine the force at the tip.
+    They determine only combinations of joint torques. When 4 N were requested, fingers of the hand
+    `jamia` curled up on a wall, and pressed with 23 to 56 N.
 
     Args:
-        task: task that suits the hand otherwise.
+        task: task that suits the hand in all other respects.
         hand: hand with the digits.
         where: name of the file, for messages.
 
@@ -185,10 +186,10 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
 
 
 def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
-    """Check that no slip limit is below the tension of its hold. Slip could then raise no tension.
+    """Check that no slip limit is below the tension of its hold, because slip could then raise no tension.
 
     Args:
-        task: task that suits the hand otherwise.
+        task: task that suits the hand in all other respects.
         hand: hand with the digits.
         where: name of the file, for messages.
 

@@ -1,4 +1,4 @@
-"""Integrity check of a log: counters, gaps, clock, hashes."""
+"""Integrity check of a log: tick numbers, gaps, clock, hashes."""
 
 from collections.abc import Iterator
 
@@ -10,10 +10,10 @@ from handctl.replay.rebuild import logged_hand
 
 
 def check_log(log: RunLog) -> list[str]:
-    """Return one line per defect of a log, after reading every byte of the log.
+    """Return one line for each defect of a log, after reading every byte of the log.
 
     Raises:
-        LogError: a chunk is damaged.
+        LogError: a chunk of the log is damaged.
     """
     return [
         *_check_end(log),
@@ -26,7 +26,7 @@ def check_log(log: RunLog) -> list[str]:
 
 
 def _check_end(log: RunLog) -> Iterator[str]:
-    """Check the end of the log and the number of ticks."""
+    """Check the end of the log and the number of ticks, and yield a line for each defect."""
     if log.warning:
         yield f"incomplete: {log.warning}"
     if log.end and int(log.end.get("ticks", len(log))) != len(log):
@@ -39,7 +39,7 @@ def _check_end(log: RunLog) -> Iterator[str]:
 
 
 def _check_counters(log: RunLog) -> Iterator[str]:
-    """Check the tick numbers."""
+    """Check the tick numbers, and yield a line for each defect."""
     steps = np.diff(log.k)
     if (steps < 1).any():
         yield f"tick {int(log.k[1:][steps < 1][0])} follows a later tick"
@@ -50,7 +50,7 @@ def _check_counters(log: RunLog) -> Iterator[str]:
 
 
 def _check_clock(log: RunLog) -> Iterator[str]:
-    """Check times and lateness of the ticks."""
+    """Check the times and the lateness of the ticks, and yield a line for each defect."""
     off = log.t_ns != log.k * log.header.period_ns
     if off.any():
         yield f"the time of tick {int(log.k[off][0])} is not its number times the period"
@@ -61,9 +61,9 @@ def _check_clock(log: RunLog) -> Iterator[str]:
 
 
 def _check_frames(log: RunLog) -> Iterator[str]:
-    """Check for frames stamped after the tick that read them.
+    """Search for CAN frames with a time stamp later than the tick that read the frame.
 
-    The time stamps of such frames come from another clock than the clock of the controller.
+    The time stamps of such frames come from another clock than the controller's clock.
     """
     future = 0
     last = -1
@@ -78,7 +78,7 @@ def _check_frames(log: RunLog) -> Iterator[str]:
 
 
 def _check_hashes(log: RunLog) -> Iterator[str]:
-    """Check the identity of the hand, and check that no state hash occurs twice."""
+    """Check the identity of the hand, and check that no hash of the controller's state occurs twice."""
     logged = log.header.metadata.get("identity", "")
     computed = logged_hand(log).identity
     if logged != computed:
@@ -89,14 +89,15 @@ def _check_hashes(log: RunLog) -> Iterator[str]:
 
 
 def _check_chain(log: RunLog) -> Iterator[str]:
-    """Check the hash chain, and name the first tick with a wrong hash."""
+    """Check the hash chain of the log, and name the first tick with a wrong hash."""
     before = first_hash_of_run(log.header)
     broken = list[int]()
     ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.digests(), strict=False)
     for k, message, numbers, digest in ticks:
         if tick_hash(before, message, numbers) != digest:
             broken.append(k)
-        # The logged hash continues the chain, so that one changed tick is reported once.
+        # The chain continues with the logged hash, so that a single changed tick is reported only
+        # once.
         before = digest
     if broken:
         others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""

@@ -1,4 +1,7 @@
-"""Comparison of two runs: RMS, peak and delay of the difference per joint and tendon."""
+"""Comparison of two runs.
+
+For each joint and tendon: RMS and peak of the difference, and the delay of the second run.
+"""
 
 import math
 from collections.abc import Iterator
@@ -13,32 +16,32 @@ from handctl.log.read.reader import RunLog
 Array = NDArray[np.float64]
 
 MAX_DELAY_S = 0.2
-"""Largest delay considered [s]."""
+"""Largest delay between two signals that the comparison can find [s]."""
 MIN_MOTION = 0.05
 """Smallest range of a signal from which a delay is computed, as a fraction of the signal's largest value."""
 MAX_UNEXPLAINED = 0.1
-"""Largest fraction of a signal's variance that may remain after the shift by a delay.
+"""Largest fraction of the first signal's variance that may remain as a difference after the shift by the delay.
 
-If a larger fraction remains, the delay is a result of chance or noise.
+If a larger fraction remains, the delay found is a result of chance or noise.
 """
 MIN_REPORTED_DELAY_MS = 0.05
-"""Delay below which "in time" is printed [ms]."""
+"""Delay below which "in time" is printed instead of the delay [ms]."""
 
 SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
-"""Axis, factor to the printed unit, and printed unit, by telemetry field."""
+"""Axis, factor from the field's unit to the printed unit, and printed unit, for each compared telemetry field."""
 
 
 def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
-    """Raise an error for a log of another hand.
+    """Raise an error if a log is of another hand than the given one.
 
     Args:
-        a: a log.
-        name: name of the other hand.
-        identity: identity of the other hand.
-        where: file of the other hand, for the error message.
+        a: log to check.
+        name: name of the given hand.
+        identity: identity of the given hand.
+        where: file of the given hand, for the error message.
 
     Raises:
-        IncomparableError: the identities differ.
+        IncomparableError: the identity of the log's hand differs from the given one.
     """
     logged_identity = a.header.metadata.get("identity", "?")
     logged_name = a.header.metadata.get("hand", "?")
@@ -51,17 +54,17 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
 
 
 def compare_signals(names: tuple[str, ...], before: Array, after: Array, period: float) -> dict[str, dict[str, float]]:
-    """Compare two aligned signals.
+    """Compare two signals whose rows belong to the same times.
 
     Args:
-        names: names of the columns.
+        names: names of the columns of both signals.
         before: (ticks, n) first signal, NaN where unknown.
         after: (ticks, n) second signal, NaN where unknown.
-        period: period of the rows [s].
+        period: time between two rows [s].
 
     Returns:
-        By name: rms and peak in the signals' unit, and delay_s, the delay of `after` behind
-        `before` [s]. The delay of a constant signal is NaN.
+        By name of the column: rms and peak of the difference, in the unit of the signals, and
+        delay_s, the delay of `after` behind `before` [s]. The delay of a constant signal is NaN.
     """
     rows = min(len(before), len(after))
     change = after[:rows] - before[:rows]
@@ -72,7 +75,7 @@ def compare_signals(names: tuple[str, ...], before: Array, after: Array, period:
 
 
 def rms_and_peak(change: Array) -> dict[str, float]:
-    """Return RMS and peak of a difference, NaN values excluded.
+    """Return RMS and peak of a difference. NaN values are left out.
 
     Both are NaN if every value is NaN.
     """
@@ -83,14 +86,14 @@ def rms_and_peak(change: Array) -> dict[str, float]:
 
 
 def signal_delay(before: Array, after: Array, period: float) -> float:
-    """Return the delay of `after` relative to `before` [s].
+    """Return the delay of the signal `after` behind the signal `before` [s].
 
-    The delay is the time shift with the smallest remaining variance, refined by a parabola through
-    three shifts.
+    The delay is the time shift for which the variance of the remaining difference is smallest. The
+    best shift is refined by a parabola through three neighbouring shifts.
 
     Returns:
-        NaN if the signal does not move more than noise, if the best shift exceeds `MAX_DELAY_S`, or
-        if a signal has a NaN.
+        NaN if the signal moves no more than noise, if no shift up to `MAX_DELAY_S` explains the
+        difference, or if a signal has a NaN.
     """
     if np.isnan(before).any() or np.isnan(after).any():
         return float("nan")
@@ -98,40 +101,41 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     if reach < 1 or not np.ptp(before) > MIN_MOTION * np.abs(before).max():
         return float("nan")
     inner = slice(reach, len(before) - reach)
-    # `roll` moves rows from one end to the other end. `inner` excludes these rows.
+    # `roll` moves rows from one end of the signal to the other end. `inner` excludes these rows.
     residual = np.array([np.var(np.roll(after, -shift)[inner] - before[inner]) for shift in range(-reach, reach + 1)])
     best = int(np.argmin(residual))
     if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED * np.var(before[inner]):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
-    # Second difference of the variance. If it is not positive, the minimum is flat and is not
-    # refined.
+    # The bend is the second difference of the variance. If it is not positive, the minimum is flat,
+    # and the shift is not refined.
     bend = earlier - 2.0 * lowest + later
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 
 
 def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Array:
-    """Return a telemetry field interpolated at the given times (times, n).
+    """Return a telemetry field of a log, interpolated at the given times (times, n).
 
     Args:
-        log: the log.
-        field: telemetry field.
-        start: origin of `times` in the run [s].
-        times: times after `start` [s]. Beyond the ends of the log the end values are held.
+        log: log to read.
+        field: name of the telemetry field.
+        start: time in the run from which `times` counts [s].
+        times: times after `start` [s]. For times outside the log, the value at the nearer end of
+            the log is used.
     """
     values = log.field(field)
     return np.column_stack([np.interp(times + start, log.times, column) for column in values.T])
 
 
 def compare_runs(a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float) -> dict[str, Any]:
-    """Compare all joints [deg] and tendons [N] of two runs over an interval.
+    """Compare the angles of all joints [deg] and the tensions of all tendons [N] in two runs over an interval.
 
     Args:
         a: first run.
         start_a: start of the interval in the first run [s].
         b: second run, of the same hand.
         start_b: start of the interval in the second run [s].
-        duration: length of the interval [s].
+        duration: length of both intervals [s].
     """
     period = a.header.period_ns * 1e-9
     times = np.asarray(np.arange(round(duration / period)) * period, np.float64)
@@ -143,7 +147,7 @@ def compare_runs(a: RunLog, start_a: float, b: RunLog, start_b: float, duration:
 
 
 def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
-    """Yield one line of text for each joint and tendon known in both runs.
+    """Yield one line of text about the difference of each joint and tendon that has values in both runs.
 
     Args:
         compared: result of `compare_runs`.
@@ -158,5 +162,5 @@ def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
 
 
 def _delay_text(ms: float) -> str:
-    """Return a delay as text."""
+    """Return a delay [ms] as text."""
     return f"{abs(ms):.1f} ms {'behind' if ms > 0 else 'ahead'}"

@@ -1,7 +1,7 @@
-"""Commands that other gains would have given in a recorded run, as numbers and as a figure.
+"""Commands that the controller would have given in a recorded run with other gains, as numbers and as a figure.
 
-The measurements are taken from the log. The figure shows the command of each tick, not the further
-motion of the hand.
+The controller runs on the measurements in the log. So the figure shows the command in each tick,
+but not the further motion of the hand.
 """
 
 from pathlib import Path
@@ -16,37 +16,40 @@ from handctl.replay.compare import rms_and_peak
 
 Array = NDArray[np.float64]
 LOGGED_COLOR = "#3b6fb6"
-"""Line colour of the log."""
+"""Colour of the line that shows the logged command."""
 OTHER_COLOR = "#d9822b"
-"""Line colour of the other gains."""
+"""Colour of the line that shows the command of the other gains."""
 
 
 class Commands:
-    """Collector for the commands of each tick. Pass `add` to `execute_log` as `observer`."""
+    """Collector for the commands of each executed tick.
+
+    Pass the method `add` to `execute_log` as `observer`.
+    """
 
     def __init__(self) -> None:
-        """Start with no ticks."""
+        """Start without any tick."""
         self._torque: list[Array] = []
         self._tension: list[Array] = []
 
     def add(self, entry: TickIn, out: TickOut) -> None:
-        """Add one tick."""
+        """Add the commands of one tick."""
         self._torque.append(out.telemetry.motor_torque_goal)
         self._tension.append(out.telemetry.tension_goal)
 
     @property
     def torque(self) -> Array:
-        """Return the commanded motor torque (ticks, M) [N m]."""
+        """Return the commanded torque of each motor (ticks, M) [N m]."""
         return np.array(self._torque)
 
     @property
     def tension(self) -> Array:
-        """Return the commanded tension (ticks, N) [N]."""
+        """Return the commanded tension of each tendon (ticks, N) [N]."""
         return np.array(self._tension)
 
 
 def command_change(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, float]]]:
-    """Return RMS and peak of the change in command, per motor [N m] and per tendon [N]."""
+    """Return RMS and peak of the change against the logged command, for each motor [N m] and each tendon [N]."""
     torque = commands.torque - log.field("motor_torque_goal")
     tension = commands.tension - log.field("tension_goal")
     return {
@@ -56,12 +59,12 @@ def command_change(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[
 
 
 def draw_commands(path: Path, log: RunLog, commands: Commands, title: str) -> None:
-    """Draw commanded tension and torque of each tendon as PNG, both from the log and for the other gains.
+    """Draw the logged commands and the commands of other gains as PNG: tension and torque of each tendon.
 
     Args:
-        path: file to write.
-        log: the run.
-        commands: commands of the other gains.
+        path: PNG file to write.
+        log: log of the run.
+        commands: commands that the other gains gave.
         title: title of the figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -1,4 +1,7 @@
-"""Location of damage in a log refused by the reader: the first tick with a changed byte."""
+"""Search for the damage in a log that the reader refuses.
+
+The search finds the first tick with a changed byte.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,11 +17,14 @@ from handctl.log.topics.chain import HASH_SIZE, TOPIC, tick_hash
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 
 NO_CHANNEL = -1
-"""Channel number of a topic that is missing from the log, for example in a version without the hash chain."""
+"""Channel number of a topic that the log lacks.
+
+Logs of earlier versions, for example, lack the hash chain.
+"""
 
 
 class _Tick(NamedTuple):
-    """One tick as stored: number, Tick message, packed telemetry, hash."""
+    """Tick with the data stored in a log: number, Tick message, packed telemetry, chain hash."""
 
     k: int
     message: bytes
@@ -27,13 +33,14 @@ class _Tick(NamedTuple):
 
 
 def first_damage(path: Path) -> str:
-    """Return a description of the first damage of a log and its first wrong tick, or an empty text.
+    """Return a description of the first damage and the first wrong tick of a log. The text is empty without damage.
 
-    The hash chain identifies the tick, even if the checksums were adjusted. If the chain is intact,
-    the damage is in the derived topics, and the result names the ticks of the chunk.
+    The hash chain reveals a changed tick even if somebody has adjusted the checksums. If the chain
+    is intact, the damage is in topics derived from the ticks, and the result names the ticks of the
+    damaged chunk.
 
     Raises:
-        LogError: the file is not a log.
+        LogError: the file is not a log of handctl.
     """
     file = LogFile(path)
     scan = RecordScan()
@@ -62,7 +69,7 @@ def first_damage(path: Path) -> str:
 
 
 def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
-    """Return the part of a chunk that can be decompressed, and its defect in words."""
+    """Return the part of a chunk that can be decompressed, and a description of the chunk's defect."""
     try:
         return file.content(chunk), ""
     except LogError as error:
@@ -74,16 +81,17 @@ def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
 
 
 def _channel_ids(content: bytes) -> tuple[int, ...]:
-    """Return the channel numbers of ticks, telemetry, and hashes."""
+    """Return the channel numbers of the ticks, the telemetry and the chain hashes."""
     channels = {topic: number for number, _, topic, _, _ in schemas_and_channels(content).channels}
     return tuple(channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, TOPIC))
 
 
 def _chunk_ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]) -> Iterator[_Tick]:
-    """Yield the ticks of a chunk.
+    """Yield the ticks that a chunk contains.
 
     Raises:
-        ValueError: the chunk is empty, or the topics have different numbers of messages.
+        ValueError: the chunk is empty, or the numbers of ticks, telemetry messages and hashes in
+            the chunk differ.
     """
     if not content:
         raise ValueError("a chunk that cannot be unpacked")
@@ -94,16 +102,16 @@ def _chunk_ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]
     if channels[2] == NO_CHANNEL:
         digests = [b""] * len(messages)
     for message, values, digest in zip(messages, values_of, digests, strict=True):
-        # The tick number follows the four bytes of CDR encapsulation.
+        # The tick number follows the four bytes of CDR encapsulation in the message.
         k = int.from_bytes(message[4:12], "little", signed=True)
         yield _Tick(k, message, values[VALUES_START:VALUES_END], digest[-HASH_SIZE:])
 
 
 def _position_text(before: bytes) -> str:
-    """Return a description of the position after the last intact tick."""
+    """Return a text about the last intact tick before the damage."""
     return f"after tick {int.from_bytes(before[:8], 'little', signed=True)}" if before else "before the first tick"
 
 
 def _tick_range_text(ticks: list[_Tick]) -> str:
-    """Return a description of the tick range of a chunk."""
+    """Return a text with the first and the last tick of a chunk."""
     return f"ticks {ticks[0].k} to {ticks[-1].k}" if ticks else "before the first tick"

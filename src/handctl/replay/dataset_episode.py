@@ -1,7 +1,11 @@
-"""An episode of a LeRobot dataset as a program: joint angles of its actions, checked like a trajectory file.
+"""Episode of a LeRobot dataset as a program for a hand.
 
-Layout: codebase version 3.0. An action has `index_j1.pos_rad` for every joint of the hand, as the plug-in
-`lerobot_robot_handctl` records it and `log export --lerobot` writes it. Other elements, such as tensions, are ignored.
+The joint angles of the actions are checked like a trajectory file.
+
+The dataset has the layout of codebase version 3.0. An action has an element such as
+`index_j1.pos_rad` for every joint of the hand. The plug-in `lerobot_robot_handctl` and the command
+`log export --lerobot` write such actions. Other elements of an action, such as tensions, are
+ignored.
 """
 
 import json
@@ -24,31 +28,32 @@ from handctl.programs.task import FOLLOW_SPEED_DEG_S
 Array = NDArray[np.float64]
 
 VERSION_PREFIX = "v3."
-"""Beginning of the codebase version of a dataset."""
+"""Beginning of the codebase version that a dataset must have."""
 POSITION_SUFFIX = ".pos_rad"
-"""End of the name of a joint angle in an action."""
+"""End of the name of an action's element with a joint angle."""
 MAX_CLIPPED_DEG = 3.0
-"""Largest angle beyond the range of a joint that is clipped [deg].
+"""Largest distance of an angle from the joint's range at which the angle is clipped, not refused [deg].
 
-At a stop an estimated angle may be beyond the range.
+The estimated angle of a joint at a stop may lie a little outside the range.
 """
 FRAME_RATE_RANGE_HZ = (1.0, 1000.0)
-"""Lowest and highest frame rate of a dataset [Hz]."""
+"""Lowest and highest accepted frame rate of a dataset [Hz]."""
 MAX_EPISODE_S = 3600.0
-"""Longest episode [s], equal to the longest trajectory of a trajectory file."""
+"""Longest accepted episode [s]. A trajectory file has the same limit."""
 MAX_INFO_BYTES = 1 << 24
-"""Largest `info.json` [bytes]."""
+"""Largest accepted size of `info.json` [bytes]."""
 
 
 def find_episode(dataset: Path, episode: int, hand: Hand, period: float, speed_deg_s: float | None = None) -> Recording:
-    """Return the joint angles of an episode at a control period.
+    """Return the motion of an episode: smooth joint angles with one value for each control period.
 
     Args:
         dataset: folder of the dataset, with `meta` and `data`.
         episode: number of the episode, from 0.
         hand: hand that will follow the episode.
-        period: control period [s].
-        speed_deg_s: limit on the steps from frame to frame [deg/s]. None: a joint that is too fast is refused.
+        period: control period of the hand [s].
+        speed_deg_s: limit to which the speed of each joint from frame to frame is reduced [deg/s].
+            If None is given, an episode with too fast a joint is refused.
 
     Raises:
         ConfigError: the dataset or the episode does not exist, the episode lacks joints of the
@@ -75,15 +80,15 @@ def find_episode(dataset: Path, episode: int, hand: Hand, period: float, speed_d
 
 
 def _info_path(dataset: Path) -> Path:
-    """Return the path of the file that describes a dataset."""
+    """Return the path of the file that describes a dataset, `info.json`."""
     return dataset / "meta" / "info.json"
 
 
 def _read_info(dataset: Path) -> Mapping[str, Any]:
-    """Read the description of a dataset.
+    """Read the description of a dataset from the file `info.json`.
 
     Raises:
-        ConfigError: the file does not describe a dataset of this version.
+        ConfigError: the file does not describe a dataset of codebase version 3.
     """
     path = _info_path(dataset)
     right = "a LeRobot dataset (3.0)"
@@ -102,10 +107,10 @@ def _read_info(dataset: Path) -> Mapping[str, Any]:
 
 
 def _read_actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array:
-    """Return the actions (frames, n) of an episode, in order.
+    """Return the actions (frames, n) of an episode, in the order of the frames.
 
     Raises:
-        ConfigError: there is no such episode, or a file is damaged.
+        ConfigError: the dataset does not have the episode, or a file of the dataset is damaged.
     """
     rows = _read_episodes(dataset)
     numbers = rows["episode_index"].to_pylist()
@@ -131,7 +136,7 @@ def _read_actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array
 
 
 def _read_episodes(dataset: Path) -> pa.Table:
-    """Return the table of all episodes.
+    """Return the table of all episodes of a dataset.
 
     Raises:
         ConfigError: the table is missing or damaged.
@@ -144,10 +149,10 @@ def _read_episodes(dataset: Path) -> pa.Table:
 
 
 def _read_table(path: Path, columns: list[str]) -> pa.Table:
-    """Read columns of a Parquet file.
+    """Read the given columns of a Parquet file.
 
     Raises:
-        ConfigError: the file is missing or damaged, or lacks a column.
+        ConfigError: the file is missing, is damaged, or lacks one of the columns.
     """
     try:
         table = pq.read_table(path, columns=columns)
@@ -160,7 +165,7 @@ def _read_table(path: Path, columns: list[str]) -> pa.Table:
 
 
 def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: Path) -> Array:
-    """Return the joint angles (frames, J) of actions, in the order of the hand [rad].
+    """Return the joint angles (frames, J) in actions, in the order of the hand's joints [rad].
 
     Raises:
         ConfigError: the actions lack a joint of the hand.
@@ -179,10 +184,10 @@ def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: 
 
 
 def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
-    """Return the angles, with small excursions beyond the range of the joints clipped.
+    """Return the angles (frames, J), where angles slightly outside the range of a joint are clipped to the range.
 
     Raises:
-        ConfigError: an angle is not finite or far beyond the range.
+        ConfigError: an angle is not finite or lies far outside the joint's range.
     """
     low = np.radians([angle for digit in hand.digit for angle in digit.joint_min_deg])
     high = np.radians([angle for digit in hand.digit for angle in digit.joint_max_deg])
@@ -196,7 +201,7 @@ def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
 
 
 def _limit_rate(angles: Array, step: float) -> Array:
-    """Return angles (frames, J) that follow the given angles with at most `step` from frame to frame [rad]."""
+    """Return angles (frames, J) that follow the given angles but change by at most `step` from frame to frame [rad]."""
     slowed = angles.copy()
     for i in range(1, len(slowed)):
         slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -step, step)
@@ -204,10 +209,10 @@ def _limit_rate(angles: Array, step: float) -> Array:
 
 
 def _smooth_curve(angles: Array, rate: float, hand: Hand, period: float, where: str) -> Recording:
-    """Return a smooth curve through angles, from rest to rest, at every control period.
+    """Return a smooth curve through angles, with a point for each control period. The curve begins and ends at rest.
 
     Raises:
-        ConfigError: a joint is too fast.
+        ConfigError: a joint moves too fast on the curve.
     """
     times = np.arange(len(angles)) / rate
     curve = CubicSpline(times, angles, bc_type="clamped")
@@ -221,5 +226,5 @@ def _smooth_curve(angles: Array, rate: float, hand: Hand, period: float, where: 
 
 
 def _value_text(value: object) -> str:
-    """Return a wrong value as text for an error message."""
+    """Return a wrong value of a dataset as text for an error message."""
     return printable_text(repr(value))[:40]

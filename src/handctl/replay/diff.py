@@ -9,18 +9,18 @@ from handctl.log.read.timeline import check_order
 from handctl.replay.compare import check_same_hand, compare_runs
 
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)
-"""Names of the phases without tension in the hand.
+"""Names of the phases in which the hand's tendons have no tension.
 
-Only the durations of these phases are compared.
+The comparison of two runs compares only the durations of these phases.
 """
 
 
 class PhaseSpan(NamedTuple):
-    """Phase of a run, with its start and end.
+    """Phase of a run, with start and end.
 
     Attributes:
         name: name of the phase.
-        start, end: times [s].
+        start, end: times of the start and the end, since the start of the run [s].
     """
 
     name: str
@@ -31,7 +31,7 @@ class PhaseSpan(NamedTuple):
 def phase_spans(log: RunLog) -> list[PhaseSpan]:
     """Return all phases of a run in order.
 
-    Repeated phases are numbered: `hold`, `hold (2)`.
+    If a phase occurs several times, the occurrences are numbered: `hold`, `hold (2)`.
     """
     changes = log.phases
     spans = []
@@ -44,20 +44,20 @@ def phase_spans(log: RunLog) -> list[PhaseSpan]:
 
 
 def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
-    """Compare two runs.
+    """Compare two runs of one hand, phase by phase.
 
     Args:
-        a: first log.
-        b: second log, of the same hand.
-        where: name of the second file, for the error.
+        a: log of the first run.
+        b: log of the second run, of the same hand.
+        where: name of the second log's file, for the error message.
 
     Returns:
-        Gains that differ, phases in only one of the runs, and for each common phase both durations
-        [s] and the differences from `compare.both` over the shorter duration, aligned at the start
-        of the phase.
+        Gains that differ, phases that only one of the runs has, and a comparison of each common
+        phase. The comparison has both durations [s] and the differences from `compare_runs`. The
+        comparison covers the shorter duration, and both runs are aligned at the start of the phase.
 
     Raises:
-        IncomparableError: the logs are of different hands.
+        IncomparableError: the two logs are of different hands.
         LogError: the ticks of a log are out of order.
     """
     theirs = b.header.metadata

@@ -1,6 +1,6 @@
-"""Re-execution of a log: the controller runs on the logged inputs, and every output byte is compared.
+"""Re-execution of a log. The controller runs again on the logged inputs, and each byte of the output is compared.
 
-No bus is used, no clock influences a decision, and no file but the log is read.
+A re-execution uses no bus and reads no file except the log. No clock influences a decision.
 """
 
 import gc
@@ -26,15 +26,16 @@ class Execution:
 
     Attributes:
         ticks: number of executed ticks.
-        differing: number of ticks with any different output byte.
-        different_decisions: number of ticks with a different decision: mode, phase, action or
+        differing: number of ticks in which at least one byte of the output differs.
+        different_decisions: number of ticks in which a decision differs: mode, phase, action or
             events.
-        first: the first difference, or None.
-        state: first different field in the first different snapshot, or None.
-        largest: the largest numeric difference by `relative_error`, or None.
-        wall_s: elapsed time, excluding the design of the gains [s].
-        cpu_s: processor time of all processes [s], equal to the time on one idle core.
-        logged_s: duration of the run [s].
+        first: the first difference, or None if there is none.
+        state: first field that differs between the controller's state and the first differing
+            snapshot, or None.
+        largest: the largest difference of a number, measured by `relative_error`, or None.
+        wall_s: time that the re-execution took, without the design of the gains [s].
+        cpu_s: processor time of all processes together [s]. One idle core would need this time.
+        logged_s: duration of the recorded run [s].
     """
 
     ticks: int
@@ -49,14 +50,14 @@ class Execution:
 
     @property
     def times_real_time(self) -> float:
-        """Return the speed of the re-execution relative to real time."""
+        """Return how many times faster than the recorded run the re-execution was."""
         return self.logged_s / self.wall_s if self.wall_s else math.inf
 
 
 def is_within_tolerance(execution: Execution, within: float) -> bool:
-    """Return True if all decisions are equal and no number differs by more than `within`.
+    """Return True if all decisions equal the logged ones, and no number differs from the log by more than `within`.
 
-    A tolerance is useful because other machines may round differently.
+    A tolerance is useful because a machine of another kind may round differently.
     """
     largest = relative_error(execution.largest) if execution.largest else 0.0
     return not execution.different_decisions and largest <= within
@@ -69,18 +70,18 @@ def execute_log(
     progress: ProgressCallback | None = None,
     workers: int = 1,
 ) -> Execution:
-    """Execute the controller of a log on the log's inputs.
+    """Execute the controller of a log on the inputs in the log.
 
     Args:
-        log: a run.
-        gains: gains to use instead of the gains of the run.
-        observer: function called with every tick.
-        progress: function called at intervals with the number of ticks so far.
-        workers: number of processes. Several are used only without other gains and without
-            `observer`. The result does not depend on this number.
+        log: log of the run.
+        gains: gains to use instead of those of the run.
+        observer: function called with the input and the output of every tick.
+        progress: function called at intervals with the number of ticks executed so far.
+        workers: number of processes. Other gains or an observer allow only one process. The result
+            does not depend on the number.
 
     Raises:
-        LogError: the controller cannot be rebuilt, or the log is damaged.
+        LogError: the controller cannot be rebuilt from the log, or the log is damaged.
     """
     runner = LogRunner.of(log, gains)
     start = time.perf_counter()
@@ -110,13 +111,13 @@ def _ignore_progress(ticks: int) -> None:
 
 
 def _cpu_seconds() -> float:
-    """Return the processor time of this process and of its finished children [s]."""
+    """Return the processor time of the calling process and of finished child processes [s]."""
     return sum(os.times()[:4])
 
 
 @contextmanager
 def gc_disabled() -> Iterator[None]:
-    """Disable garbage collection, as in the loop, and overflow warnings from numbers in a bad log.
+    """Disable garbage collection, as the control loop does, and warnings about overflow from numbers in a bad log.
 
     Ticks create no reference cycles, so no garbage accumulates.
     """

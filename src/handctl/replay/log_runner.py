@@ -1,4 +1,7 @@
-"""Execution of the controller on the inputs of a log, with a tally of the differences."""
+"""Execution of the controller on the inputs in a log.
+
+A tally counts the differences from the logged outputs.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -33,10 +36,10 @@ ProgressCallback = Callable[[int], None]
 
 
 def relative_error(difference: TickDifference) -> float:
-    """Return the size of a numeric difference, absolute for numbers below 1, relative above.
+    """Return the size of a difference. The size is absolute for logged numbers below 1, and relative above.
 
     Returns:
-        0 for texts, infinity if one of the numbers is NaN.
+        the size, which is 0 for texts, and infinity if a number is NaN.
     """
     logged = difference.logged
     computed = difference.computed
@@ -48,7 +51,7 @@ def relative_error(difference: TickDifference) -> float:
 
 @dataclass(slots=True)
 class Tally:
-    """Counts of the differences found so far, see Execution."""
+    """Counts of the differences found so far. The class Execution explains the attributes."""
 
     ticks: int = 0
     differing: int = 0
@@ -58,7 +61,7 @@ class Tally:
     largest: TickDifference | None = None
 
     def merged_with(self, later: "Tally") -> "Tally":
-        """Return the sum of this tally and the tally of a later part of the log."""
+        """Add the tally of a later part of the log to this tally, and return the sum."""
         both = Tally(
             self.ticks + later.ticks,
             self.differing + later.differing,
@@ -74,8 +77,8 @@ class Tally:
         """Add the differences of one tick.
 
         Args:
-            tick_differences: the differences.
-            same_decisions: True if the decisions are equal.
+            tick_differences: the differences between the logged and the computed tick.
+            same_decisions: True if the decisions of both are equal.
         """
         self.differing += 1
         self.different_decisions += not same_decisions
@@ -85,20 +88,20 @@ class Tally:
                 self._keep_larger(difference)
 
     def _keep_larger(self, other: TickDifference | None) -> None:
-        """Keep the larger of two numeric differences."""
+        """Replace the largest difference by another difference if the other is larger."""
         if other and (self.largest is None or relative_error(other) > relative_error(self.largest)):
             self.largest = other
 
 
 @dataclass(frozen=True, slots=True)
 class LogRunner:
-    """Log and the controller to execute on its inputs.
+    """Log, and the controller to be executed on the inputs in the log.
 
     Attributes:
-        log: a run.
-        controller: controller of the log.
-        columns: names of the telemetry columns.
-        snapshots: snapshots of the log by tick.
+        log: log of the run.
+        controller: controller that was rebuilt from the log.
+        columns: names of the telemetry columns in the log.
+        snapshots: snapshots of the controller's state in the log, by tick number.
     """
 
     log: RunLog
@@ -108,11 +111,12 @@ class LogRunner:
 
     @staticmethod
     def of(log: RunLog, gains: Gains | None = None) -> "LogRunner":
-        """Construct the controller of a log, with the gains of the log or others.
+        """Rebuild the controller of a log, with the gains in the log or with the given gains.
 
-        Raises the errors of `rebuild_controller`.
+        The errors are those of `rebuild_controller`.
         """
-        # With other gains the states differ from the log.
+        # With other gains, the states differ from the snapshots in the log, which are therefore not
+        # used.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return LogRunner(log, rebuild_controller(log, gains), Columns.of(log.header), snapshots)
 
@@ -124,20 +128,21 @@ class LogRunner:
         observer: TickObserver | None,
         progress: ProgressCallback | None,
     ) -> tuple[State, Tally]:
-        """Execute a part of the log.
+        """Execute the controller on a part of the log.
 
         Args:
-            start: index of the first tick.
-            stop: index after the last tick.
-            state: state before the first tick.
-            observer: function called with every tick.
-            progress: function called at intervals with the number of further ticks.
+            start: index of the first tick of the part.
+            stop: index after the last tick of the part.
+            state: state of the controller before the first tick.
+            observer: function called with the input and the output of every tick.
+            progress: function called at intervals with the number of ticks executed since the last
+                call.
 
         Returns:
-            State after the last tick, and the differences.
+            the state of the controller after the last tick, and the tally of the differences.
 
         Raises:
-            LogError: the log is damaged, or the controller refuses an input.
+            LogError: the log is damaged, or the controller refuses an input in the log.
         """
         tally = Tally()
         tick = self.controller.tick
@@ -161,16 +166,16 @@ class LogRunner:
         return state, tally
 
     def _logged_ticks(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
-        """Yield the logged ticks from index start up to stop, each with its telemetry."""
+        """Yield the logged ticks from index `start` up to, but not including, `stop`, each with telemetry."""
         firsts = self.log.first_of_chunk
-        # Chunks are read as a whole. The surplus ticks at both ends are cut off below.
+        # Chunks are read as a whole. The ticks outside the part, at both ends, are cut off below.
         chunk, last = np.searchsorted(firsts, (start, stop), side="right") - 1
         chunks = slice(int(chunk), int(last) + 1)
         both = zip(self.log.ticks(chunks), self.log.packed(chunks), strict=True)
         return islice(both, start - int(firsts[chunk]), stop - int(firsts[chunk]))
 
     def _state_difference(self, logged: TickRecord, state: State) -> TickDifference | None:
-        """Compare the state after a tick with the snapshot in the log."""
+        """Compare the controller's state after a tick with the snapshot in the log, and return the first difference."""
         try:
             was = restore_state(self.controller.layout, self.snapshots[logged.tick_in.k])
         except ValueError:
@@ -179,5 +184,5 @@ class LogRunner:
 
 
 def refusal_error(error: ValueError, k: int) -> LogError:
-    """Return the error of a controller that refuses a tick."""
+    """Return the error to raise if the controller refuses the inputs of tick `k`."""
     return LogError(f"the controller refuses: {error}", f"tick {k}", "a value that fits")

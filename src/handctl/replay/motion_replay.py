@@ -1,4 +1,4 @@
-"""Driving a recorded run again: the recorded targets as a program, and the differences between the two runs."""
+"""Repetition of a recorded motion: the recorded targets as a program, and a comparison of both runs."""
 
 from typing import Any
 
@@ -17,17 +17,18 @@ Array = NDArray[np.float64]
 PREPARATION_PHASES = ("start", "tighten", "approach")
 """Names of the phases that precede the recorded motion."""
 MAX_GAP_S = 0.05
-"""Longest gap in a recording over which targets are interpolated [s]."""
+"""Longest gap without ticks in a recording over which the targets are interpolated [s]."""
 
 
 def active_interval(log: RunLog) -> tuple[float, float]:
-    """Return start and end of the active interval of a run [s].
+    """Return start and end of the interval of a run in which the hand was active [s].
 
-    The tightening of the tendons at the start is excluded.
+    The phases that prepare the motion, such as the tightening of the tendons, do not belong to the
+    interval.
 
     Raises:
-        LogError: the hand was never active, not all tendons had targets at the same time, or the
-            ticks are out of order.
+        LogError: the hand was never active, no tick has targets for all tendons, or the ticks are
+            out of order.
     """
     check_order(log.t_ns, log.header.period_ns)
     preparing = np.zeros(len(log), bool)
@@ -45,9 +46,9 @@ def active_interval(log: RunLog) -> tuple[float, float]:
 
 
 def count_missing_ticks(log: RunLog) -> int:
-    """Count the missing ticks in the active interval.
+    """Count the ticks that are missing in the active interval of a run.
 
-    Targets are interpolated linearly over a gap.
+    The targets of a missing tick are interpolated linearly between the neighbouring ticks.
 
     Raises:
         LogError: too many ticks are missing in a row, or the run has no active interval.
@@ -62,23 +63,23 @@ def count_missing_ticks(log: RunLog) -> int:
 
 
 def recorded_targets(log: RunLog, period: float) -> Recording:
-    """Return the targets of a run, resampled to another control period.
+    """Return the targets of a recorded run, resampled to another control period.
 
-    The joint targets of a digit are NaN if a neighbouring tick has no joint targets, because the
-    digit then held a tension.
+    If a neighbouring tick has no joint targets for a digit, because the digit held a tension, these
+    targets are NaN.
 
     Args:
-        log: the run.
-        period: the control period [s].
+        log: log of the run.
+        period: the control period to resample to [s].
 
     Raises:
-        LogError: see `count_missing_ticks`.
+        LogError: as for `count_missing_ticks`.
     """
     count_missing_ticks(log)
     start, end = active_interval(log)
     steps = np.rint(np.arange(round((end - start) / period) + 1) * (period * 1e9))
-    # The times are computed as in `log.times`, to the bit, so that equal periods need no
-    # interpolation.
+    # The times equal those of `log.times` to the bit. So no interpolation is needed if both control
+    # periods are equal.
     times = np.asarray((round(start * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
     q, dq, tension = (_interpolate_field(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal"))
     ddq = np.gradient(log.field("dq_goal"), log.times, axis=0)
@@ -87,15 +88,15 @@ def recorded_targets(log: RunLog, period: float) -> Recording:
 
 
 def _interpolate_field(log: RunLog, name: str, times: Array) -> Array:
-    """Return a field of a log, interpolated at the given times."""
+    """Return a telemetry field of a log, interpolated at the given times."""
     return _interpolate(log, log.field(name), times)
 
 
 def _interpolate(log: RunLog, values: Array, times: Array) -> Array:
-    """Return columns interpolated at times [s].
+    """Return values (ticks, n) of a log, interpolated at the given times [s].
 
-    A value is NaN if one of its neighbours is NaN. Before the first and after the last tick, the
-    nearest tick is used.
+    A result is NaN if the value before or after this time is NaN. Before the first and after the
+    last tick, the value of the nearest tick is used.
     """
     return np.column_stack([np.interp(times, log.times, column) for column in values.T])
 
@@ -104,20 +105,21 @@ def playback_program(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
     """Return the program that repeats the motion of a recorded run.
 
     Args:
-        log: the run.
-        period: the control period [s].
-        raw: True to follow the recorded tensions instead of the trajectories.
+        log: log of the recorded run.
+        period: the control period of the hand that repeats the motion [s].
+        raw: True to follow the recorded tensions instead of the recorded joint trajectories.
     """
     return PlaybackProgram(recorded_targets(log, period), raw)
 
 
 def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
-    """Compare a replay with its recording, per joint [deg] and tendon [N].
+    """Compare a replay with the recording, for each joint [deg] and each tendon [N].
 
-    Only the driven part of the recording is compared.
+    The comparison covers only the part of the recording that the replay has repeated.
 
     Returns:
-        Empty if the replay never reached the recording.
+        the differences from `compare_runs`. The mapping is empty if the replay never began to
+        follow the recording.
     """
     replay_start = _playback_start(after)
     return (
@@ -128,7 +130,7 @@ def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
 
 
 def driven_duration(before: RunLog, after: RunLog) -> float:
-    """Return how much of a recording was driven [s]."""
+    """Return for how long a replay followed the recording [s]."""
     start, end = active_interval(before)
     replay_start = _playback_start(after)
     if replay_start is None:
@@ -138,5 +140,5 @@ def driven_duration(before: RunLog, after: RunLog) -> float:
 
 
 def _playback_start(after: RunLog) -> float | None:
-    """Return the time at which a replay began to follow the recording [s]."""
+    """Return the time at which a replay began to follow the recording [s], or None if this never happened."""
     return next((change.t_ns * 1e-9 for change in after.phases if change.name == "playback"), None)

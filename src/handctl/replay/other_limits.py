@@ -1,7 +1,7 @@
-"""Judgement of a recorded run by other limits.
+"""Judgement of a recorded run by other safety limits.
 
-The result lists the ticks in which the hand would have been stopped, each with the reading that
-causes the stop.
+The result lists the ticks in which the other limits would have stopped the hand, each with the
+reading that causes the stop.
 """
 
 from collections import Counter
@@ -28,11 +28,11 @@ Tension = Annotated[float, Field(gt=0, le=1000)]
 
 
 class NewLimits(Document):
-    """Content of a limits file. A missing limit keeps its value from the run."""
+    """Content of a limits file. A limit missing in the file keeps the value from the run."""
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     tension_trip_N: Tension | dict[str, Tension] | None = None
-    """Tension limit for all tendons, or by tendon [N]."""
+    """Tension limit, either one for all tendons or one for each tendon by name [N]."""
     silent_ms: float | None = Field(None, gt=0, le=10_000)
     stalled_ms: float | None = Field(None, gt=0, le=10_000)
     temperature_soft_degC: float | None = Field(None, gt=0, le=200)
@@ -40,15 +40,15 @@ class NewLimits(Document):
 
 
 class LimitStop(NamedTuple):
-    """Fault that stops the hand under the new limits.
+    """Fault that would stop the hand with the new limits.
 
     Attributes:
-        k, t_s: number and time [s] of the tick.
+        k, t_s: number and time [s] of the tick in which the fault is raised.
         fault, title: id and title of the fault.
-        instance: motor, tendon or bus.
+        instance: motor, tendon or bus that has the fault.
         value: reading that exceeds the limit, in the unit of the limit.
-        action: the action of the fault.
-        logged: True if the run's own limits raised the fault in the same tick.
+        action: the safety action of the fault.
+        logged: True if the limits of the run itself raised the same fault in this tick.
     """
 
     k: int
@@ -70,8 +70,8 @@ class Judgement:
         stopped: number of ticks in which the new limits demand HOLD or a more severe reaction.
         stopped_logged: number of ticks in which the limits of the run demanded HOLD or a more
             severe reaction.
-        stops: start of each stop, in order.
-        by_fault: number of stops by fault.
+        stops: fault that starts each stop, in order.
+        by_fault: number of stops by id of the fault.
     """
 
     ticks: int
@@ -82,10 +82,10 @@ class Judgement:
 
 
 def load_limits(path: Path, controller: Controller) -> Limits:
-    """Return the limits of a controller, with the values of a limits file applied.
+    """Return the limits of a controller, with the values of a limits file put in.
 
     Raises:
-        ConfigError: the file cannot be read, or names a tendon that the hand lacks.
+        ConfigError: the file cannot be read or names a tendon that the hand does not have.
     """
     new = load_document(path, NewLimits)
     old = controller.limits
@@ -113,16 +113,16 @@ def load_limits(path: Path, controller: Controller) -> Limits:
 
 
 def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | None = None) -> Judgement:
-    """Judge every tick of a run by other limits. The logged run itself is not changed.
+    """Judge every tick of a run by other limits, and return their effect. The logged run itself is not changed.
 
     Args:
-        log: a run.
+        log: log of the run.
         path: limits file.
-        progress: function called at intervals with the number of ticks so far.
+        progress: function called at intervals with the number of ticks judged so far.
 
     Raises:
         ConfigError: the limits file is wrong.
-        LogError: the log cannot be executed.
+        LogError: the controller cannot be executed on the log.
     """
     controller = rebuild_controller(log)
     limits = load_limits(path, controller)
@@ -133,7 +133,7 @@ def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | N
 def _judge_ticks(
     log: RunLog, controller: Controller, limits: Limits, progress: Callable[[int], None] | None
 ) -> Judgement:
-    """Judge each tick from the logged state, with debounce and latches of the other limits."""
+    """Judge each tick from the state that the run had, with the debounce counters and latches of the other limits."""
     other = replace(controller, other_limits=limits)
     state = controller.initial()
     shadow = other.initial()
@@ -141,8 +141,8 @@ def _judge_ticks(
     ticks = stopped = stopped_logged = 0
     for logged in log.ticks():
         entry = logged.tick_in
-        # Every tick starts from the state of the run. Only the debounce counters and latches of the
-        # other limits carry over.
+        # Every tick starts from the state that the run had. Only the debounce counters and latches
+        # of the other limits carry over from tick to tick.
         judged = state.copy()
         judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
         judged.decide(latched=shadow.latched, reported_faults=shadow.decisions.reported_faults)
@@ -161,7 +161,7 @@ def _judge_ticks(
             if event.name == "fault" and BY_ID[_fault_id(event)].action >= Action.HOLD:
                 fault = BY_ID[_fault_id(event)]
                 t_s = entry.t_ns / 1e9
-                # A fault event ends with its reading in brackets.
+                # The text of a fault event ends with the reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
                 in_log = fault.id + event.where in logged_faults
                 stops.append(
@@ -181,5 +181,5 @@ def _judge_ticks(
 
 
 def _fault_id(event: Event) -> str:
-    """Return the fault id of an event."""
+    """Return the fault id that a fault event names."""
     return event.text.partition(" ")[0]

@@ -1,9 +1,9 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-Each part starts from a state whose hash is in the log. If the previous part ends with the same
-hash, a serial run would reach the same state, and the results of the parts can be added. If the
-hashes differ, the rest of the log is executed serially. The result is therefore always equal to the
-result of a serial run.
+Each process executes a part of the log, from a snapshot whose hash is in the log. If the previous
+part ends in a state with the same hash, a serial execution would reach the same state. Then the
+results of the two parts can be added. If the hashes differ, one process executes the rest of the
+log serially. The result is therefore always equal to the result of a serial execution.
 """
 
 import json
@@ -27,13 +27,13 @@ from handctl.replay.log_runner import LogRunner, Tally
 from handctl.replay.tick_difference import TickDifference
 
 MIN_TICKS = 200
-"""Smallest number of ticks per process."""
+"""Smallest number of ticks for which a further process is started."""
 PROGRESS_S = 0.2
-"""Interval between reports of progress while waiting [s]."""
+"""Interval between reports of progress while the first process waits for the others [s]."""
 
 
 class LogPart(NamedTuple):
-    """Part of a log: ticks `start` to `stop`, and the state before the first tick."""
+    """Part of a log: ticks from index `start` up to `stop`, and the controller's state before the first of them."""
 
     start: int
     stop: int
@@ -41,7 +41,7 @@ class LogPart(NamedTuple):
 
 
 class WorkerProcess(NamedTuple):
-    """Worker process, with its part and the read end of its pipe."""
+    """Worker process, with the part of the log to execute and the read end of the pipe with the result."""
 
     process: int
     pipe: int
@@ -49,23 +49,23 @@ class WorkerProcess(NamedTuple):
 
 
 class ProgressCounts:
-    """Number of executed ticks of each process, in shared memory."""
+    """Number of ticks that each process has executed, in shared memory."""
 
     def __init__(self, processes: int, progress: Callable[[int], None]) -> None:
-        """Allocate the shared memory.
+        """Allocate the shared memory for the numbers.
 
         Args:
             processes: number of processes.
-            progress: function called with the number of executed ticks.
+            progress: function called with the number of ticks that all processes have executed.
         """
-        # An anonymous mapping is shared with forked processes.
+        # A process shares an anonymous memory mapping with its forked processes.
         self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
         self._progress = progress
 
     def of(self, process: int) -> Callable[[int], None]:
-        """Return a function that counts further ticks of a process.
+        """Return a function that counts the executed ticks of a process.
 
-        In the first process, which is the present process, the function also reports progress.
+        The function of the first process, which is the calling process, also reports progress.
         """
 
         def count(ticks: int) -> None:
@@ -76,17 +76,17 @@ class ProgressCounts:
         return count
 
     def report(self) -> None:
-        """Report the number of executed ticks."""
+        """Report the number of ticks that all processes have executed."""
         self._progress(int(self._done.sum()))
 
 
 def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None]) -> Tally:
-    """Execute a whole log in several processes. Raises the errors of `LogRunner.run`.
+    """Execute a whole log in several processes. The errors are those of `LogRunner.run`.
 
     Args:
-        runner: the log and its controller.
+        runner: the log and the controller to execute.
         workers: largest number of processes.
-        progress: function called at intervals with the number of ticks so far.
+        progress: function called at intervals with the number of ticks executed so far.
     """
     parts = split_log(runner, workers)
     counts = ProgressCounts(len(parts), progress)
@@ -94,7 +94,8 @@ def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None
     try:
         state, total = runner.run(parts[0].start, parts[0].stop, parts[0].state, None, counts.of(0))
         for worker in running:
-            # Equal hashes: the part started from the state that a serial run has here.
+            # If the hashes are equal, the worker's part started from the state that a serial
+            # execution has here.
             result = _wait_for_result(runner, worker, counts) if state.digest() == worker.part.state.digest() else None
             if result is None:
                 _, remainder = runner.run(worker.part.start, len(runner.log), state, None, counts.of(0))
@@ -108,9 +109,9 @@ def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None
 
 
 def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
-    """Return consecutive parts of a log, of about equal length.
+    """Divide a log into consecutive parts of about equal length, and return them.
 
-    Each part begins at the start of the log or after a snapshot.
+    Each part begins at the start of the log or just after a snapshot.
     """
     ticks = len(runner.log)
     k = runner.log.k
@@ -131,10 +132,11 @@ def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
 
 
 def _state_after(runner: LogRunner, index: int) -> State | None:
-    """Return the state logged after a tick.
+    """Return the controller's state in the snapshot after a tick.
 
     Returns:
-        None if this version cannot read the state, or its hash differs from the logged hash.
+        the state, or None if this version cannot read the snapshot, or if the hash
+        differs from the logged hash.
     """
     try:
         state = restore_state(runner.controller.layout, runner.snapshots[int(runner.log.k[index])])
@@ -144,14 +146,15 @@ def _state_after(runner: LogRunner, index: int) -> State | None:
 
 
 def _start_worker(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
-    """Execute a part in a forked copy of this process."""
+    """Start the execution of a part in a forked copy of this process."""
     return WorkerProcess(*run_in_copy(lambda: _result_json(runner, part, count)), part)
 
 
 def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> str:
-    """Execute a part and return the result as JSON. A damaged log gives an empty text.
+    """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
 
-    The calling process then executes the part, finds the damage, and reports the error.
+    After an empty text, the calling process executes the part itself, finds the damage, and reports
+    the error.
     """
     try:
         state, tally = runner.run(*part, None, count)
@@ -161,10 +164,10 @@ def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None])
 
 
 def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts) -> tuple[State, Tally] | None:
-    """Wait for a process, and return its tally and the state after its part.
+    """Wait for a worker process, and return the state and the tally at the end of the worker's part.
 
     Returns:
-        None if the process did not finish its part.
+        state and tally, or None if the process did not finish the part.
     """
     data = b""
     while True:
@@ -186,7 +189,7 @@ def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressC
 
 
 def _kill_worker(worker: WorkerProcess) -> None:
-    """Kill a worker process and wait until it has ended."""
+    """Kill a worker process, and wait until the process has ended."""
     os.close(worker.pipe)
     os.kill(worker.process, signal.SIGKILL)
     os.waitpid(worker.process, 0)

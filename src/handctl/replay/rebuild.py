@@ -1,4 +1,4 @@
-"""Reconstruction of the controller of a recorded run from its log."""
+"""Reconstruction of the controller of a recorded run from the log of the run."""
 
 from importlib.metadata import version
 from typing import TypeVar
@@ -17,10 +17,10 @@ from handctl.printing import printable_text
 
 
 def logged_hand(log: RunLog) -> Hand:
-    """Return the hand of the run.
+    """Return the hand of the recorded run.
 
     Raises:
-        LogError: the log has no hand that this version can read.
+        LogError: the log has no description of a hand that this version can read.
     """
     try:
         return described_hand(log.header, "hand.toml in the log")
@@ -29,7 +29,7 @@ def logged_hand(log: RunLog) -> Hand:
 
 
 def logged_gains(log: RunLog) -> Gains:
-    """Return the gains of the run.
+    """Return the gains of the recorded run.
 
     Raises:
         LogError: the log has no gains that this version can read.
@@ -38,16 +38,16 @@ def logged_gains(log: RunLog) -> Gains:
 
 
 def logged_setup(log: RunLog) -> Setup:
-    """Return rate, tare, zero and program of the run.
+    """Return the setup of the recorded run: control rate, tare of the load cells, zero of the motors, and program.
 
     Raises:
-        LogError: the log was written by a version without this record.
+        LogError: the log was written by a version that did not record the setup.
     """
     return _read_attachment(log, SETUP_ATTACHMENT, Setup)
 
 
 def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
-    """Return the controller that wrote the log, with the gains of the log or others.
+    """Return a controller like that of the recorded run, with the gains in the log or with the given gains.
 
     Raises:
         LogError: a required record is missing from the log.
@@ -59,7 +59,7 @@ D = TypeVar("D", Gains, Setup)
 
 
 def _read_attachment(log: RunLog, name: str, model: type[D]) -> D:
-    """Return an attachment of a log, decoded.
+    """Return the decoded content of an attachment of a log.
 
     Raises:
         LogError: the attachment is missing or cannot be decoded.
@@ -76,7 +76,7 @@ def _read_attachment(log: RunLog, name: str, model: type[D]) -> D:
 
 
 def _versions_text(log: RunLog) -> tuple[str, str]:
-    """Return the versions of writer and reader, as location and expectation in an error message."""
+    """Return the versions of handctl that wrote and read the log, as two texts for an error message."""
     metadata = log.header.metadata
     wrote = f"handctl {metadata.get('version', UNKNOWN)}, code {metadata.get('code', UNKNOWN)}"
     here = f"handctl {version('handctl')}, code {code_identity()}"

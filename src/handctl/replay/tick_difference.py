@@ -1,4 +1,4 @@
-"""Differences between two ticks: fields, values, and distance in units in the last place."""
+"""Differences between a logged and a computed tick: fields, values, and distances in units in the last place."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -16,15 +16,16 @@ from handctl.log.record import TickRecord
 
 
 class TickDifference(NamedTuple):
-    """Difference of one field in one tick.
+    """Difference between the logged and the computed value of one field in one tick.
 
     Attributes:
         k: number of the tick.
         t_s: time of the tick [s].
-        field: field of TickOut or of its telemetry, e.g. `frames[3]`, `mode`, `tension_goal`.
-        name: joint, tendon, motor or digit, or an empty text.
-        logged, computed: logged and computed value, as number in SI units or as text.
-        ulps: distance of two numbers in units in the last place, None for texts.
+        field: name of the field of TickOut or of the telemetry, e.g. `frames[3]`, `mode`,
+            `tension_goal`.
+        name: joint, tendon, motor or digit to which the value belongs, or an empty text.
+        logged, computed: the two values, as numbers in SI units or as texts.
+        ulps: distance between two numbers in units in the last place. None for texts.
     """
 
     k: int
@@ -37,20 +38,20 @@ class TickDifference(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Names of the columns of `Telemetry.packed`: field, and joint, tendon, motor or digit."""
+    """Names for the columns of `Telemetry.packed`: the telemetry field, and the joint, tendon, motor or digit."""
 
     field: tuple[str, ...]
     name: tuple[str, ...]
 
     @staticmethod
     def of(header: RunHeader) -> "Columns":
-        """Return the columns of a log."""
+        """Return the column names for a log with this header."""
         pairs = [(field, name) for field in TELEMETRY_FIELDS for name in header.axis(TELEMETRY_AXES[field])]
         return Columns(tuple(field for field, _ in pairs), tuple(name for _, name in pairs))
 
 
 def distance_in_ulps(a: float, b: float) -> int:
-    """Return the distance of two numbers in units in the last place.
+    """Return the distance between two numbers in units in the last place.
 
     Neighbouring float64 have distance 1.
     """
@@ -58,23 +59,26 @@ def distance_in_ulps(a: float, b: float) -> int:
 
 
 def _ordinal(value: float) -> int:
-    """Return the position of a float64 in the order of all float64. Both zeros are 0."""
+    """Return the position of a number in the ordered sequence of all float64.
+
+    The position of both zeros is 0.
+    """
     bits = int(np.float64(value).view(np.int64))
-    # The bits of positive floats, as integers, are in the order of the floats. The bits of negative
-    # floats are in the reverse order, and have the sign bit.
+    # Read as integers, the bits of positive floats are in the order of the floats. The bits of
+    # negative floats are in the reverse order, and their sign bit is set.
     return bits if bits >= 0 else -(bits & 0x7FFF_FFFF_FFFF_FFFF)
 
 
 def differing_fields(
     columns: Columns, logged: TickRecord, numbers: bytes, computed: TickOut
 ) -> Iterator[TickDifference]:
-    """Yield every field that differs, decisions first and the state hash last.
+    """Yield every field that differs between the two ticks, decisions first and the state hash last.
 
     Args:
         columns: names of the telemetry columns.
-        logged: the recorded tick.
-        numbers: packed telemetry of the recorded tick.
-        computed: the recomputed tick.
+        logged: the logged tick.
+        numbers: packed telemetry of the logged tick.
+        computed: the computed tick.
     """
     k = logged.tick_in.k
     t_s = logged.tick_in.t_ns / 1e9
@@ -100,12 +104,12 @@ def differing_fields(
 
 
 def state_difference(header: RunHeader, logged: TickRecord, was: State, now: State) -> TickDifference | None:
-    """Return the first field that differs between two states, in the order of the schema.
+    """Return the first field that differs between two states of the controller, in the order of the state's schema.
 
     Args:
         header: header of the log.
-        logged: last tick before the states.
-        was: state in the log.
+        logged: logged tick after which the controller had these states.
+        was: state of the snapshot in the log.
         now: computed state.
     """
     k = logged.tick_in.k
@@ -124,7 +128,7 @@ def state_difference(header: RunHeader, logged: TickRecord, was: State, now: Sta
 
 
 def are_outputs_equal(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
-    """Return True if every output byte of a tick is equal."""
+    """Return True if every byte of a tick's output is the same in the log and in the re-execution."""
     return (
         logged.state_hash == computed.state_hash
         and logged.frames.records.tobytes() == frames_as_records(computed.frames).records.tobytes()
@@ -135,9 +139,10 @@ def are_outputs_equal(logged: TickRecord, numbers: bytes, computed: TickOut) -> 
 
 
 def are_decisions_equal(logged: TickRecord, computed: TickOut) -> bool:
-    """Return True if the decisions of a tick are equal.
+    """Return True if the decisions of a tick are the same in the log and in the re-execution.
 
-    Decisions are mode, action, phase, and the events without the numbers in their texts.
+    Decisions are mode, action, phase, and the events. The texts of the events are not compared,
+    because they contain numbers.
     """
     was, now = ([event[:3] for event in events] for events in (logged.events, computed.events))
     return (logged.mode, logged.action, logged.phase, was) == (
@@ -149,21 +154,21 @@ def are_decisions_equal(logged: TickRecord, computed: TickOut) -> bool:
 
 
 def _events_text(events: tuple[Event, ...]) -> str:
-    """Return events as text for a comparison."""
+    """Return the events of a tick as one text, for a comparison."""
     return "; ".join(" ".join(filter(None, event)) for event in events)
 
 
 def _frame_text(frame: Frame) -> str:
-    """Return a frame as text, as candump writes it, with the time if the frame has one."""
+    """Return a CAN frame as text in the format of candump, with the time of the frame if known."""
     flags = f"#{frame.flags:X}" if frame.flags else ""
     at = f" at {frame.t_ns} ns" if frame.t_ns else ""
     return f"bus {frame.bus} {frame.can_id:03X}#{flags}{frame.data.hex().upper()}{at}"
 
 
 def _changed_numbers(was: bytes, now: bytes) -> list[tuple[int, float, float]]:
-    """Return (column, old, new) for every float64 whose bits have changed.
+    """Return (column, old, new) for every float64 of the telemetry whose bits differ.
 
-    A number replaced by NaN counts as changed.
+    A number that has become NaN also counts as changed.
     """
     old: NDArray[np.float64] = np.frombuffer(was, "<f8")
     new: NDArray[np.float64] = np.frombuffer(now, "<f8")

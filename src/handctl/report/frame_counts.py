@@ -1,4 +1,4 @@
-"""Counts of late frames, lost frames, and silent ticks of a run, from its log."""
+"""Counts of late frames, lost frames and silent ticks in the log of a run."""
 
 from typing import NamedTuple
 
@@ -11,10 +11,11 @@ class FrameCounts(NamedTuple):
     """Numbers of late frames, lost frames and silent ticks of a run. Silent ticks may explain late frames.
 
     Attributes:
-        late: number of load-cell replies to an older SYNC.
-        lost: number of tension frames that never arrived, and of frames refused by a bus.
-        silent: number of ticks after a SYNC without a frame from any node. The nodes or the host
-            had paused, and the replies arrive late in the next tick.
+        late: number of load-cell frames that reply to an older SYNC than the last one.
+        lost: number of tension frames that never arrived, plus the number of frames that a bus
+            refused to send.
+        silent: number of ticks in which no frame of any node followed a SYNC. Either the nodes or
+            the host had paused. The replies then arrive late, in the next tick.
     """
 
     late: int
@@ -23,9 +24,9 @@ class FrameCounts(NamedTuple):
 
 
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
-    """Return the number of late frames, lost frames, and silent ticks.
+    """Return the numbers of late frames, lost frames and silent ticks of a run.
 
-    Each frame of the load cells is compared with the SYNC before it.
+    Each frame with load-cell readings is compared with the last SYNC before the frame.
     """
     node = make_sensors(hand)
     sync_counter = -1
@@ -51,7 +52,7 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
             if frame.bus == node.bus and frame.can_id == node.sync_id and len(frame.data) == node.sync_message.length:
                 sync_counter = frame.data[0] & 0xF if frame.data else 0
                 sync_ns = tick.tick_in.t_ns
-                # An amplifier replies only after its set-up is complete.
+                # An amplifier of load cells replies to a SYNC only after its set-up is complete.
                 sync_frames += not silent_ids
         refused += sum(event.number for event in tick.tick_in.io_events if event.kind == "enobufs")
     return FrameCounts(late, refused + node.lost(sync_frames, fresh_frames, late), silent)

@@ -1,7 +1,8 @@
 """Picture of the structure of a hand: buses, motors with spools, load cells, tendons, joints with encoders.
 
-Each digit is drawn as a chain of links. Below the chain, each tendon has a row. The row leads from the bus through the
-motor, the spool and the load cell to the joints that the tendon crosses, with the moment arm at each joint.
+The picture shows each digit as a chain of links. Below the chain, each tendon of the digit has a
+row. The row leads from the bus through the motor, the spool and the load cell to the joints that
+the tendon crosses, with the moment arm at each joint.
 """
 
 from collections.abc import Iterator
@@ -15,25 +16,32 @@ from handctl.output import save_figure
 from handctl.printing import printable_text
 
 BUS_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
-"""Colours of the buses."""
+"""Colours of the buses, in the order of the hand file."""
 FLEXOR_COLOUR = "#333333"
 EXTENSOR_COLOUR = "#d01c1c"
 LINK_COLOUR = "#b9c3cf"
 CELL_COLOUR = "#d9822b"
 ENCODER_COLOUR = "#3c9d5d"
-"""Colours of flexors and extensors, links, load cells and joint encoders."""
+"""Colour of the joint encoders.
+
+The colours above are for flexors, extensors, links and load cells.
+"""
 MOTOR_X = 0.0
 CELL_X = 1.5
 JOINTS_X = 3.0
 JOINT_STEP = 1.7
 BUS_STEP = 0.35
-"""Columns of the picture, and the distances of joints and of buses."""
+"""Horizontal distance of two buses.
+
+The values above are the columns of motor, load cell and first joint, and the distance of two
+joints.
+"""
 ROW_HEIGHT_IN = 0.42
-"""Height of a row [inch]."""
+"""Height of a row of the picture [inch]."""
 
 
 def draw_hand(path: Path, hand: Hand) -> None:
-    """Draw the picture of a hand. The file suffix selects PNG, SVG or PDF.
+    """Draw the picture of a hand as PNG, SVG or PDF, according to the suffix of the file.
 
     Args:
         path: path of the file to write.
@@ -63,7 +71,7 @@ def draw_hand(path: Path, hand: Hand) -> None:
 
 
 def text_graph(hand: Hand) -> str:
-    """Return the structure of a hand as text, with one line per tendon."""
+    """Return the structure of a hand as text, with one line for each tendon."""
     node = hand.sensor_node
     lines = []
     for bus in hand.bus:
@@ -97,7 +105,7 @@ def text_graph(hand: Hand) -> str:
 
 
 def _sensors_text(hand: Hand) -> str:
-    """Return the kind of the sensors in words."""
+    """Return the kind of a hand's sensor node in words."""
     node = hand.sensor_node
     if not node.is_cia404:
         return "sensor node"
@@ -105,7 +113,10 @@ def _sensors_text(hand: Hand) -> str:
 
 
 def _arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
-    """Return a moment arm in mm, with ``sign`` + before a positive one. A varying arm is given at both joint limits."""
+    """Return a moment arm in mm as text. If ``sign`` is "+", a positive arm has a plus sign.
+
+    A varying arm is given at both joint limits.
+    """
     arm = tendon.moment_arm_m[joint]
     if not isinstance(arm, dict):
         return f"{1e3 * arm:{sign}g} mm"
@@ -115,25 +126,25 @@ def _arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
 
 
 def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
-    """Return the tendons that cross a joint of a digit."""
+    """Return the tendons that cross at least one joint of a digit."""
     return [tendon for tendon in hand.tendon if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
 
 
 def _tendon_label(tendon: Tendon) -> str:
-    """Return the name of a tendon, for a spool pair with its pretension."""
+    """Return the label of a tendon: the name, and for a spool pair also the pretension."""
     if tendon.pretension_N is None:
         return tendon.name
     return f"{tendon.name}, pair, {tendon.pretension_N:g} N"
 
 
 def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:
-    """Yield name and column of each joint of a digit."""
+    """Yield name and column in the picture of each joint of a digit."""
     for i, joint in enumerate(digit.joints):
         yield joint, JOINTS_X + JOINT_STEP * i
 
 
 def _sensor_node(axes: Any, hand: Hand) -> float:
-    """Draw the legend line for the sensor node, and return the height of the line in rows."""
+    """Draw the legend for load cells and joint encoders, and return the height of the legend in rows."""
     node = hand.sensor_node
     text = f"{_sensors_text(hand)} on {node.bus}, SYNC 0x{node.sync_id:X}: {len(node.tendons)} load cells"
     axes.plot(JOINTS_X, -0.1, "s", color=CELL_COLOUR, markersize=7)
@@ -144,7 +155,7 @@ def _sensor_node(axes: Any, hand: Hand) -> float:
 
 
 def _draw_digit(axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, list[float]]) -> float:
-    """Draw a digit with its tendons below ``y``, and return the row of the last tendon."""
+    """Draw a digit at row ``y`` and the tendons of the digit below, and return the row after the last tendon."""
     columns = dict(_joint_xs(digit))
     axes.text(JOINTS_X - 0.35, y, digit.name, ha="right", va="center", fontsize=9, weight="bold")
     for (joint, x), length in zip(columns.items(), digit.link_length_m, strict=True):
@@ -163,7 +174,7 @@ def _draw_digit(axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, l
 
 
 def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float], y: float) -> None:
-    """Draw a tendon in its row, from the bus of its motor to the last joint crossed."""
+    """Draw the row of a tendon, from the bus of the motor to the last joint that the tendon crosses."""
     motor = hand.motor_of(tendon.name)
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
@@ -181,7 +192,7 @@ def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float
         axes.plot(CELL_X, y, "s", color=CELL_COLOUR, markersize=7, zorder=2)
     axes.text(CELL_X + 0.15, y - 0.27, _tendon_label(tendon), ha="left", va="center", fontsize=6.5)
     for joint, arm in crossed.items():
-        # A flexor pulls below the joint, an extensor above.
+        # The moment arm of a flexor is written below the joint, that of an extensor above it.
         side = -1.0 if arm > 0.0 else 1.0
         shade = FLEXOR_COLOUR if arm > 0.0 else EXTENSOR_COLOUR
         axes.plot(columns[joint], y, "o", color=shade, markersize=4.5, zorder=2)
@@ -192,12 +203,12 @@ def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float
 
 
 def _bus_x(bus: int) -> float:
-    """Return the column of a bus."""
+    """Return the column of a bus in the picture."""
     return MOTOR_X - 0.9 - BUS_STEP * bus
 
 
 def _draw_buses(axes: Any, hand: Hand, ends: dict[str, list[float]]) -> None:
-    """Draw each bus as a line that connects its motors, with its bit rates."""
+    """Draw each bus as a vertical line between the motors on the bus, with name and bit rates."""
     for i, bus in enumerate(hand.bus):
         x = _bus_x(i)
         top, bottom = ends[bus.name]

@@ -1,4 +1,7 @@
-"""Judgement of a grasp whose table sinks: the object must stay in the hand."""
+"""Judgement of a grasp in a scene where the table under the object sinks.
+
+The object must stay in the hand.
+"""
 
 from collections.abc import Collection
 from typing import Any
@@ -9,29 +12,30 @@ from handctl.log.read.reader import RunLog
 from handctl.report.truth import TruthRecord
 
 TABLE_SUNK_COLUMN = "support"
-"""Column of the truth file with the distance by which the table has sunk [m].
+"""Column of the simulator's truth file that says how far the table has sunk [m].
 
-Only scenes with a sinking table have this column.
+Only the truth files of scenes with a sinking table have this column.
 """
 MAX_SLIP_MM = 10.0
-"""Largest motion of an object in the hand that counts as held [mm].
+"""Largest motion in the hand of an object that counts as held [mm].
 
-In the demo, held objects move by 3 mm at most.
+Objects that the hand holds in the demo move by 3 mm at most.
 """
 
 
 def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Collection[str]) -> dict[str, Any]:
-    """Return how far the table sank during a hold, and how far the object then moved in the hand.
+    """Return how far the table sank while the hand held the object, and how far the object moved meanwhile.
 
     Args:
         log: log of the run.
-        truth: truth of the simulator, None on hardware.
+        truth: truth of the simulator, or None on hardware.
         offset_ns: time of the simulator at t = 0 of the run [ns].
         holds: names of the task's hold phases.
 
     Returns:
-        `table_sunk_mm` at the end of the last hold, and `object_slid_mm` from the first sinking to
-        this time. NaN without a sinking table, or before the first hold.
+        `table_sunk_mm`: how far the table has sunk at the end of the last hold. `object_slid_mm`:
+        how far the object moved from the first sinking to this time. Both are NaN without a sinking
+        table or without a hold.
     """
     unknown = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
     t_ns = _hold_times(log, holds) + offset_ns
@@ -47,7 +51,7 @@ def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Co
 
 
 def _hold_times(log: RunLog, holds: Collection[str]) -> Any:
-    """Return the times of the ticks from the first hold phase to the last [ns]."""
+    """Return the times of the ticks from the start of the first hold phase to the end of the last one [ns]."""
     changes = log.phases
     ends = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
     both = zip(changes, ends, strict=True)
@@ -60,7 +64,7 @@ def _hold_times(log: RunLog, holds: Collection[str]) -> Any:
 def lift_failure(lift: dict[str, Any]) -> str:
     """Return the reason why a grasp failed, or an empty text.
 
-    The text is empty if the object was held, or if there was no object.
+    The text is empty if the hand held the object, or if there was no object.
 
     Args:
         lift: result of `judge_lift`.

@@ -1,30 +1,32 @@
-"""Table of the bus load of each protocol: time per tick for 4 or 11 motors at the usual bit rates.
+"""Table of the bus load of each drive protocol: time of one tick's frames for 4 or 11 motors at the usual bit rates.
 
-The time includes command, feedback, and load cell frames (four tendons in 8 bytes, or all in one
-CAN FD frame), and SYNC where a protocol needs it. ``controller.bus_load`` computes the load for a
-hand file.
+The time covers the frames with commands, feedback and load-cell readings, and SYNC where a protocol
+needs it. A load-cell frame has four tendons in 8 bytes, or all tendons in one CAN FD frame. For the
+load of one hand file, see ``controller.bus_load``.
 """
 
 from typing import Any, NamedTuple
 
 from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
 
-# Bit rates of the table: nominal, and data phase of CAN FD [bit/s].
+# Bit rates for which the table is computed: nominal rate, and rate of the data phase of CAN FD
+# [bit/s].
 BITRATE = 1_000_000
 DATA_BITRATE = 5_000_000
 TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
-"""Control rates of the table [Hz]."""
+"""Control rates for which the table gives the bus load [Hz]."""
 
 
 class TableRow(NamedTuple):
-    """Row of the table.
+    """Row of the table of bus loads.
 
     Attributes:
-        protocol: name and variant.
-        fd: CAN FD at 1/5 Mbit/s if True, else classical CAN at 1 Mbit/s.
-        motors: number of motors.
-        per_motor: payload of each frame of one motor in a tick [bytes].
-        shared: payload of each frame for all motors, such as tensions and SYNC [bytes].
+        protocol: name and variant of the drive protocol.
+        fd: True for CAN FD at 1/5 Mbit/s, False for classical CAN at 1 Mbit/s.
+        motors: number of motors on the bus.
+        per_motor: payload of each frame that belongs to one motor in a tick [bytes].
+        shared: payload of each frame that a tick has once for all motors, such as tensions and SYNC
+            [bytes].
     """
 
     protocol: str
@@ -35,7 +37,7 @@ class TableRow(NamedTuple):
 
     @property
     def tick_s(self) -> float:
-        """Return the time of one tick's frames [s]."""
+        """Return the time that the frames of one tick take on the bus [s]."""
         sizes = [*self.per_motor * self.motors, *self.shared]
         return bus_time_s([(size, self.fd, 1.0) for size in sizes], BITRATE, DATA_BITRATE)
 
@@ -56,4 +58,4 @@ TABLE = (
     TableRow("ODrive, torque and encoder", False, 4, (4, 8), (8,)),
     TableRow("ODrive, with torque feedback", False, 4, (8, 8, 8), (8,)),
 )
-"""Rows: (protocol, CAN FD, motors, payloads per motor, shared payloads)."""
+"""Rows of the table: (protocol, CAN FD, motors, payloads of each motor, shared payloads)."""

@@ -1,4 +1,4 @@
-"""Small pictures of a run as SVG text: poses, lateness of the ticks, bus load."""
+"""Small pictures of a run as SVG text: poses of the hand, lateness of the ticks, bus load."""
 
 import io
 from collections.abc import Sequence
@@ -20,29 +20,29 @@ from handctl.report.run_figure import COLOURS, PASSIVE_PHASES, digit_colours
 Array = NDArray[np.float64]
 
 LOAD_WINDOW_S = 0.1
-"""Time window in which the bus load is averaged [s]."""
+"""Length of the time window over which the bus load is averaged [s]."""
 PER_ROW = 4
-"""Number of hand pictures per row."""
+"""Number of hand pictures in one row."""
 OBLIQUE_SHIFT = (0.55, 0.3)
-"""Oblique projection: drawn distance to the right and upwards, per distance along the hinge axes.
+"""Shift of the oblique projection to the right and upwards, for each unit of distance along the hinge axes.
 
-This projection separates digits on the same hinge line.
+The shift separates digits whose hinges lie on the same line.
 """
 PALM_COLOUR = "#e3e6ea"
 LIGHT_DIRECTION = np.array([0.4, 0.5, -0.77])
-"""Direction to the light on meshes, of length 1, in the palm frame."""
+"""Unit vector in the palm frame that points from a mesh to the light."""
 MESH_DPI = 160
-"""Resolution of the meshes in a picture [dots per inch]."""
+"""Resolution at which meshes are drawn in a picture [dots per inch]."""
 MIN_ARROW_N = 0.2
 """Smallest force drawn as an arrow [N]."""
 ARROW_M_PER_N = 0.004
-"""Length of an arrow [m/N]."""
+"""Length of a force arrow for each newton of force [m/N]."""
 
 
 def draw_poses(log: RunLog, hand: Hand) -> str:
-    """Draw the hand in the middle of each phase with motion or contact.
+    """Draw the pose of the hand in the middle of each active phase, and return the picture as SVG.
 
-    Arrows are the forces of the object on the fingertips.
+    The arrows show the forces of the object on the fingertips.
     """
     moments = _phase_middles(log)
     if not moments:
@@ -65,9 +65,10 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
             _draw_palm(axes, hand)
         paths = tree.points(q[index])
         turned = link_rotations(tree.poses(q[index]))
-        # Digits with a large z lie behind the others in this projection and are drawn first.
+        # A digit with a larger z lies behind the others in this projection, so it is drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
-            # The object pushes against the closing direction of the fingertip, y of the last link.
+            # The object pushes the fingertip against its closing direction, which is the y axis of
+            # the last link.
             push = -max(float(force[index, d]), 0.0) * turned[digits[d].joints][-1, :, 1]
             shown = [meshes.get(f"{digits[d].name}_link{i + 1}") for i in range(len(paths[d]) - 1)]
             for mesh, position, rotation in zip(shown, paths[d], turned[digits[d].joints], strict=False):
@@ -83,15 +84,15 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
 
 
 def _project(points_m: Array) -> Array:
-    """Return points (.., 3) of the palm frame [m] projected to the picture (.., 2) [mm].
+    """Project points (.., 3) in the palm frame [m] to the plane of the picture, and return them (.., 2) [mm].
 
-    The view is along the hinge axes, at an oblique angle.
+    The viewer looks along the hinge axes, at an oblique angle.
     """
     return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(OBLIQUE_SHIFT)), np.float64)
 
 
 def _picture_limits(tree: HandTree, palm: Array) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of the picture, which includes the palm, (n, 3) corners, and every digit at rest."""
+    """Return the limits of a picture of the whole palm, given by (n, 3) corners, and of all digits at rest."""
     digits = _project(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
     corners = np.concatenate((digits - 20.0, digits + 10.0, _project(palm)))
     low = corners.min(axis=0)
@@ -100,7 +101,7 @@ def _picture_limits(tree: HandTree, palm: Array) -> tuple[tuple[float, float], t
 
 
 def _draw_palm(axes: Any, hand: Hand) -> None:
-    """Draw the palm plate, to which the digits are attached."""
+    """Draw the plate of the palm, to which the digits are attached."""
     mounts = np.array([digit.mount_position_m for digit in hand.digit if digit.mount_on is None])
     (y0, z0) = mounts[:, 1:].min(axis=0) - 0.009
     (y1, z1) = mounts[:, 1:].max(axis=0) + 0.009
@@ -109,11 +110,11 @@ def _draw_palm(axes: Any, hand: Hand) -> None:
 
 
 def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
-    """Draw a mesh, the far triangles first. Triangles that face the light are brighter.
+    """Draw a mesh, the far triangles first. Triangles that lie square to the light are brighter.
 
     Args:
         axes: axes of the picture.
-        triangles: (n, 3, 3) in the palm frame [m].
+        triangles: (n, 3, 3) corners of the triangles in the palm frame [m].
         colour: colour of the mesh.
     """
     from matplotlib.collections import PolyCollection
@@ -122,10 +123,11 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     bright = 0.55 + 0.45 * np.abs(normals @ LIGHT_DIRECTION)
-    # Points with the same place in the picture differ in z, and the view is towards positive z.
+    # Points at the same place in the picture differ in z. The viewer looks towards positive z.
     order = np.argsort(-triangles[:, :, 2].mean(axis=1))
     faces = np.clip(bright[order, None] * np.array(to_rgb(colour)), 0.0, 1.0)
-    # The mesh is drawn as a bitmap. As vectors, the triangles of eight poses would need many megabytes.
+    # The mesh is drawn as a bitmap. As vector graphics, the triangles of eight poses would need
+    # many megabytes.
     axes.add_collection(
         PolyCollection(list(_project(triangles[order])), facecolors=faces, edgecolors=faces, linewidths=0.2,
                        rasterized=True, zorder=1)
@@ -133,13 +135,13 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
 
 
 def _draw_digit(axes: Any, joints: Array, push: Array, colour: str, has_mesh: Sequence[bool]) -> None:
-    """Draw the links from the palm to the tip, and the estimated force on the tip [N] as an arrow.
+    """Draw the links of a digit from the palm to the tip, and the estimated force on the tip as an arrow.
 
     Args:
         axes: axes of the picture.
-        joints: (n + 1, 3) joints and tip in the palm frame [m].
-        push: (3,) force of the object [N].
-        colour: colour of the links.
+        joints: (n + 1, 3) positions of the n joints and the tip in the palm frame [m].
+        push: (3,) estimated force of the object on the tip in the palm frame [N].
+        colour: colour of the digit's links.
         has_mesh: True for each link that is drawn as a mesh.
     """
     path = _project(joints)
@@ -154,7 +156,7 @@ def _draw_digit(axes: Any, joints: Array, push: Array, colour: str, has_mesh: Se
             solid_joinstyle="round",
         )
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
-    # A negative comparison: an unknown force or angle has no arrow.
+    # An unknown force or angle is NaN, for which this negated comparison is true. It gets no arrow.
     if not np.linalg.norm(push) >= MIN_ARROW_N:
         return
     start, end = _project(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push]))
@@ -163,9 +165,9 @@ def _draw_digit(axes: Any, joints: Array, push: Array, colour: str, has_mesh: Se
 
 
 def _write_forces(axes: Any, force: Array, colours: list[str]) -> None:
-    """Write the values of the forces [N] in the corner.
+    """Write the values of the forces on the fingertips [N] in the corner of the picture.
 
-    Next to the arrows the texts would overlap.
+    Next to the arrows, the texts would overlap.
     """
     for d, value in enumerate(force.tolist()):
         if value >= MIN_ARROW_N:
@@ -179,7 +181,7 @@ def _write_forces(axes: Any, force: Array, colours: list[str]) -> None:
 
 
 def _draw_scale_bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> None:
-    """Draw a scale bar of 20 mm."""
+    """Draw a scale bar of 20 mm into a picture of the hand."""
     x = limits[0][1] - 22.0
     y = limits[1][0] + 3.0
     axes.plot([x, x + 20.0], [y, y], color="#222222", linewidth=1.5)
@@ -187,7 +189,7 @@ def _draw_scale_bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, f
 
 
 def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
-    """Return, for each phase with motion or contact, the name and the tick index of the middle."""
+    """Return the name and the index of the middle tick of each phase in which the hand is active."""
     changes = log.phases
     ends = [change.k for change in changes[1:]] + log.k[-1:].tolist()
     middles = [(c.name, int(np.searchsorted(log.k, (c.k + end) // 2))) for c, end in zip(changes, ends, strict=True)]
@@ -198,9 +200,9 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
 
 
 def draw_lateness(log: RunLog) -> str:
-    """Draw a histogram of the lateness of ticks, with a line at a quarter of the period.
+    """Draw a histogram of the lateness of the ticks, with a line at a quarter of the control period.
 
-    Beyond this line a tick counts as late.
+    A tick beyond this line counts as late.
     """
     late = log.late_ns / 1e3
     if not late.any():
@@ -227,10 +229,11 @@ def draw_lateness(log: RunLog) -> str:
 
 
 def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
-    """Draw the load of each bus over time, from the worst-case times of the frames.
+    """Draw the load of each bus over time. The load is computed from the worst-case time of each frame.
 
     Returns:
-        Picture, and the largest load (buses,) in a window of `LOAD_WINDOW_S` or in a shorter run.
+        the picture, and the largest load of each bus (buses,) in a window of `LOAD_WINDOW_S`. A
+        shorter run is one window.
     """
     busy = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):
@@ -261,8 +264,8 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
 
 
 def _new_figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:
-    """Create a figure with a grid of axes."""
-    # Imported here: Matplotlib is slow to import, and few commands draw.
+    """Create a figure with a grid of axes, and return the figure and the axes."""
+    # Matplotlib is imported here because its import is slow and few commands draw.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -272,7 +275,7 @@ def _new_figure(columns: int, width: float, height: float, rows: int = 1) -> tup
 
 
 def _to_svg(figure: Any) -> str:
-    """Return the figure as an SVG element for a page."""
+    """Return a figure as an SVG element for an HTML page."""
     text = io.StringIO()
     figure.savefig(text, format="svg", dpi=MESH_DPI, metadata={"Date": None, "Creator": None})
     svg = text.getvalue()

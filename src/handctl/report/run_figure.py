@@ -1,4 +1,4 @@
-"""Figure of a run: angle, tensions, and contact force of each digit, and lateness of the loop."""
+"""Figure of a run: mean joint angle, tensions and contact force of each digit, and lateness of the ticks."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,19 +22,22 @@ COMMAND = "#444444"
 PLANT = "#000000"
 GRID = "#999999"
 FAULT = "#d01c1c"
-"""Colours of commands, of the plant, of phase marks and of fault marks."""
+"""Colour of fault marks.
+
+The colours above are for commands, the simulated plant and phase marks.
+"""
 TENDON_OPACITIES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode)
-"""Names of phases before and after the hand is active."""
+"""Names of the phases before and after the time in which the hand is active."""
 ROW_LABELS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
-"""Labels of the rows."""
+"""Label of each row of the figure."""
 
 Array = NDArray[np.float64]
 
 
 def digit_colours(hand: Hand) -> list[str]:
-    """Return the colour of each digit. A digit has the same colour on every hand."""
+    """Return the colour of each digit. A digit of one name has the same colour on every hand."""
     return [COLOURS[number % len(COLOURS)] for number in colour_numbers(hand.digit_names)]
 
 
@@ -45,7 +48,7 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, off
         path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator, or None.
+        truth: truth of the simulator, or None on hardware.
         offset_ns: time of the simulator at t = 0 of the run [ns].
         title: title of the figure.
     """
@@ -53,7 +56,7 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, off
     from matplotlib.figure import Figure
 
     n = len(hand.digit)
-    # In virtual time no tick is late, and the last row is left out.
+    # In virtual time no tick is late, so the row with the lateness is left out.
     timed = bool(log.late_ns.any())  # in virtual time no tick is late
     figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * timed), layout="constrained")
     FigureCanvasAgg(figure)
@@ -73,7 +76,7 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, off
 
 
 def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
-    """Add titles, grids, and phases, and limit the time axis to the active interval."""
+    """Add titles, grid lines and phase marks, and limit the time axis to the interval in which the hand is active."""
     for column, name in zip(grid.T, hand.digit_names, strict=True):
         column[0].set_title(name, fontsize=11, fontweight="bold")
         column[-1].set_xlabel("time [s]", fontsize=8)
@@ -95,9 +98,9 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
 
 
 def _fit_height(row: Sequence[Any], start: float, end: float) -> None:
-    """Limit the height of a row to the values in the active interval.
+    """Limit the height of a row to the values in the interval in which the hand is active.
 
-    A released hand may move far afterwards.
+    After this interval, a hand without tension may move far.
     """
     lines = [line.get_data() for axes in row for line in axes.lines]
     visible = np.concatenate([y[(x >= start) & (x <= end)] for x, y in lines])
@@ -108,7 +111,7 @@ def _fit_height(row: Sequence[Any], start: float, end: float) -> None:
 
 
 def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
-    """Return the lines of the legend, with their meaning."""
+    """Return the sample lines of the legend, and their meanings."""
     from matplotlib.lines import Line2D
 
     marks = [
@@ -124,7 +127,7 @@ def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
 
 
 def _draw_angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
-    """Draw the mean joint angle of each digit."""
+    """Draw the mean joint angle of each digit: estimate, command and true value."""
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name))) for name in ("q_goal", "q"))
     real = None
     if truth is not None:
@@ -136,7 +139,7 @@ def _draw_angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord
 
 
 def _draw_command_and_truth(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> None:
-    """Draw the command and the true value of the plant next to the estimate."""
+    """Draw the command and the true value of the simulated plant next to the estimate."""
     if real is not None:
         axes.plot(log.times, real, color=PLANT, linewidth=0.7)
     if goal is not None:
@@ -144,13 +147,14 @@ def _draw_command_and_truth(axes: Any, log: RunLog, goal: Array | None, real: Ar
 
 
 def _draw_tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
-    """Draw the tensions of each digit."""
+    """Draw the tendon tensions of each digit: estimates, commands and true values."""
     estimate = log.field("tension")
     sigma = log.field("tension_sigma")
     goal = log.field("tension_goal")
     for axes, tendons, colour in zip(row, hand.digit_tendons.values(), digit_colours(hand), strict=True):
         names = hand.tendon_names[tendons]
-        # `TENDON_OPACITIES * n` repeats the opacities for digits with more than three tendons.
+        # The repetition of TENDON_OPACITIES gives every tendon an opacity, even if a digit has more
+        # than three tendons.
         for shade, i, name in zip(
             TENDON_OPACITIES * len(names), range(tendons.start, tendons.stop), names, strict=False
         ):
@@ -166,7 +170,7 @@ def _draw_tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthReco
 
 
 def _draw_forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
-    """Draw the contact force of each digit."""
+    """Draw the contact force on each digit: estimate and true value."""
     estimate = log.field("tip_force")
     sigma = log.field("tip_force_sigma")
     for d, (axes, name, colour) in enumerate(zip(row, hand.digit_names, digit_colours(hand), strict=True)):
@@ -175,13 +179,17 @@ def _draw_forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord
         high = estimate[:, d] + sigma[:, d]
         axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
         if truth is not None:
-            # The truth has the components of the force, the estimate its size.
+            # The truth file has the three components of the force. The estimate is the size of the
+            # force.
             parts = [truth.at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns) for axis in "xyz"]
             _draw_command_and_truth(axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64))
 
 
 def _mark_phases(grid: Any, log: RunLog) -> None:
-    """Mark the start of each phase, and the first fault. The first row shows their names."""
+    """Mark the start of each phase and the first fault in all rows.
+
+    The names are written in the first row.
+    """
     for change in log.phases:
         if change.name not in PASSIVE_PHASES:
             _draw_mark(grid, change.t_ns / 1e9, change.name, GRID)
@@ -192,7 +200,7 @@ def _mark_phases(grid: Any, log: RunLog) -> None:
 
 
 def _draw_mark(grid: Any, t_s: float, name: str, colour: str) -> None:
-    """Draw a vertical line with a name."""
+    """Draw a vertical line through all rows, with a name in the first row."""
     for axes in grid.flat:
         axes.axvline(t_s, color=colour, linewidth=0.6)
     for axes in grid[0]:

@@ -1,4 +1,4 @@
-"""Self-contained HTML page of a run, to attach to a paper or a bug report."""
+"""HTML page about a run in a single file, which can be attached to a paper or a bug report."""
 
 import base64
 import html
@@ -23,9 +23,9 @@ from handctl.report.summary import angle_rows, summarise
 from handctl.report.truth import TruthRecord
 
 MAX_EVENTS = 500
-"""Largest number of events on the page. Only the first events are shown."""
+"""Largest number of events on the page. If a run has more, only the first events are shown."""
 MAX_CONTACTS = 20
-"""Largest number of contacts on the page. Only the first contacts are shown."""
+"""Largest number of contacts on the page. If a run has more, only the first contacts are shown."""
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2em auto;
@@ -41,15 +41,15 @@ code { font-size: .85em; word-break: break-all; }
 
 
 def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, name: str) -> int:
-    """Write the HTML page of a run.
+    """Write the HTML page about a run.
 
     Args:
         path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator, or None.
+        truth: truth of the simulator, or None on hardware.
         offset_ns: time of the simulator at t = 0 of the run [ns].
-        name: name of the log for the reader.
+        name: name of the log for the page.
 
     Returns:
         Size of the page [bytes].
@@ -79,23 +79,23 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, o
 
 
 def _escaped_text(text: object) -> str:
-    """Return a text from a log, escaped for a page."""
+    """Return a text from a log, escaped for an HTML page."""
     return html.escape(printable_text(str(text), 2000))
 
 
 def _html_section(title: str, body: str) -> str:
-    """Return a section of the page."""
+    """Return a section of the page as HTML."""
     return f"<section><h2>{title}</h2>{body}</section>"
 
 
 def _html_table(rows: Iterable[tuple[str, str]]) -> str:
-    """Return a table with two columns."""
+    """Return an HTML table with two columns."""
     lines = (f"<tr><th>{title}</th><td>{content}</td></tr>" for title, content in rows)
     return "<table>" + "".join(lines) + "</table>"
 
 
 def _text_table(values: Mapping[str, object]) -> str:
-    """Return a table of texts from a log."""
+    """Return an HTML table of texts that come from a log."""
     return _html_table((_escaped_text(key), f"<code>{_escaped_text(value)}</code>") for key, value in values.items())
 
 
@@ -106,7 +106,7 @@ def _number_table(
     offset_ns: int,
     load: "np.ndarray[tuple[int], np.dtype[np.float64]]",
 ) -> str:
-    """Return the table with the numbers of the run."""
+    """Return the HTML table with the numbers of a run."""
     summary = summarise(log, hand, truth, offset_ns)
     late = summary["late_us"]
     frames = frame_counts(log, hand)
@@ -144,12 +144,12 @@ def _number_table(
 
 
 def _number_text(value: float, unit: str) -> str:
-    """Return a number as text with its unit, empty for NaN."""
+    """Return a number with unit as text. The text is empty for NaN."""
     return "" if value != value else f"{value:.2f} {unit}"
 
 
 def _colour_legend(hand: Hand) -> str:
-    """Return the legend of the hand pictures."""
+    """Return the legend of the hand pictures as HTML."""
     from handctl.report.run_figure import digit_colours
 
     marks = (
@@ -161,7 +161,7 @@ def _colour_legend(hand: Hand) -> str:
 
 
 def _run_image(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> str:
-    """Return the figure of the run as an embedded image."""
+    """Return the figure of a run as an HTML image with embedded data."""
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "run.png"
         draw_run(picture, log, hand, truth, offset_ns, "")
@@ -171,7 +171,7 @@ def _run_image(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: in
 
 
 def _fault_counts(log: RunLog) -> str:
-    """Return the number of reports of each fault, and the time of the first report."""
+    """Return HTML lines with each reported fault, the number of reports, and the time of the first report."""
     first: dict[str, float] = {}
     counts: Counter[str] = Counter()
     for event in _events_named(log, "fault"):
@@ -183,7 +183,7 @@ def _fault_counts(log: RunLog) -> str:
 
 
 def _contact_times(log: RunLog) -> str:
-    """Return the contacts with their times."""
+    """Return HTML lines with the first contacts of a run and their times."""
     lines = (
         f"{_escaped_text(event.event.text)} at {event.t_ns / 1e9:.3f} s" for event in _events_named(log, "contact")
     )
@@ -191,12 +191,12 @@ def _contact_times(log: RunLog) -> str:
 
 
 def _events_named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
-    """Return the events with a given name."""
+    """Return the events of a run with a given name."""
     return (event for event in log.events if event.event.name == name)
 
 
 def _event_table(log: RunLog) -> str:
-    """Return the table of events."""
+    """Return the HTML table of the events of a run."""
     hidden = len(log.events) - MAX_EVENTS
     more = f"<p>and {hidden} more: handctl log info</p>" if hidden > 0 else ""
     rows = (

@@ -1,4 +1,4 @@
-"""Numbers of a run: timing of the loop, tracking, and accuracy of the estimates."""
+"""Numbers about a run: timing of the control loop, tracking errors, and accuracy of the estimates."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -18,26 +18,28 @@ from handctl.report.truth import TruthRecord
 Array = NDArray[np.float64]
 
 SETTLED_S = 0.5
-"""Time for which the targets of a hold must have been constant before the hold is judged [s]."""
+"""Time for which the targets must have been constant in a hold before the hold is judged [s]."""
 MAX_TARGET_CHANGE_N = 1.0
-"""Largest change of tension targets that count as constant [N].
+"""Largest change of tension targets that still count as constant [N].
 
-In a hold with stiffness the targets follow the noise of the encoders.
+In a hold with stiffness, the tension targets follow the noise of the encoders and are never exactly
+constant.
 """
 
 
 def summarise(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> dict[str, Any]:
-    """Return all numbers of a run.
+    """Return all numbers about a run.
 
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator. On hardware it is None, and the numbers that need a truth are
-            NaN. A truth file of an earlier simulator, whose times do not match, counts as None.
+        truth: truth of the simulator. On hardware the truth is None, and all numbers that need a
+            truth are NaN. A truth file whose times do not match the log, as from an earlier
+            simulator, counts as None.
         offset_ns: time of the simulator at t = 0 of the run [ns].
 
     Returns:
-        Plain numbers and names.
+        the numbers and texts by name.
     """
     truth = truth if truth and truth.covers(log.t_ns + offset_ns) else None
     late = log.late_ns / 1e3
@@ -61,23 +63,23 @@ def summarise(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
-    """Return a percentile, NaN if there are no values."""
+    """Return a percentile of values. Without values the result is NaN."""
     return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
 def rms(values: Array) -> float:
     """Return the root mean square of the values that are not NaN.
 
-    Without any number the result is NaN.
+    If all values are NaN, so is the result.
     """
     finite = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
 def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
-    """Return one mask (ticks,) per hold, True where the hold is settled.
+    """Return one mask (ticks,) for each hold phase of a run, True where the hold is settled.
 
-    A hold is settled while a digit is in contact and the targets are constant.
+    A hold is settled while a digit is in contact and the targets have been constant for some time.
     """
     goal = np.nan_to_num(log.field("tension_goal"))
     in_contact = log.field("contact").any(axis=1)
@@ -98,7 +100,7 @@ def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
 
 
 def _settled_mask(moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog) -> NDArray[np.bool_]:
-    """Return a mask (ticks,), True where the targets of a hold have been constant for SETTLED_S."""
+    """Return a mask (ticks,), True from the time on at which the targets of a hold have been constant for SETTLED_S."""
     last = np.flatnonzero(moving)
     settled: NDArray[np.bool_] = log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
     return settled
@@ -107,7 +109,7 @@ def _settled_mask(moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: Run
 def mean_angles(hand: Hand, q: Array) -> Array:
     """Return the mean joint angle of each digit (ticks, D) [rad].
 
-    The weights are the moment arms: sum(r q) / sum(r).
+    The joint angles q of a digit are weighted with their moment arms r: sum(r q) / sum(r).
     """
     columns = []
     for name in hand.digit_names:
@@ -120,14 +122,14 @@ def mean_angles(hand: Hand, q: Array) -> Array:
 def judge_tracking(
     log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, active: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Return the tracking error in free motion, from target and truth.
+    """Return the tracking errors in free motion: the difference between the targets and the truth.
 
-    The errors are those of the mean joint angle of each digit, and of each joint angle.
+    There is an error for the mean joint angle of each digit, and for each joint angle.
 
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator, or None.
+        truth: truth of the simulator, or None on hardware.
         offset_ns: time of the simulator at t = 0 of the run [ns].
         active: mask (ticks,), True where the hand is active.
     """
@@ -150,7 +152,7 @@ def judge_tracking(
 
 
 def _touch_mask(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
-    """Return a mask (ticks, D), True where the plant has a contact on the digit."""
+    """Return a mask (ticks, D), True where the digit has a contact in the simulated plant."""
     t_ns = log.t_ns + offset_ns
     force = [
         np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz")) for name in hand.digit_names
@@ -166,9 +168,10 @@ def judge_tension(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Return the errors of estimated and measured tension, and in holds the error of the true tension.
+    """Return the errors of the estimated and measured tensions, and in holds the errors of the true tensions.
 
-    Estimate and load cells are compared with the truth, and the truth with the command.
+    The estimates and the load-cell readings are compared with the truth, and the truth is compared
+    with the command.
 
     Args:
         log: log of the run.
@@ -182,7 +185,7 @@ def judge_tension(
         return dict.fromkeys(("tension_rmse_n", "tension_raw_rmse_n", "tension_hold_error_n"), float("nan"))
     names = [f"tension/{tendon}" for tendon in log.header.tendons]
     real = truth.table(names, log.t_ns + offset_ns)
-    # A load cell reading is one period old when the tick reads it.
+    # A reading of a load cell is one control period old when the tick reads it.
     before = truth.table(names, log.t_ns - log.header.period_ns + offset_ns)
     # One of the two tendons of a spool pair is always taut.
     taut = active[:, None] & ((real > 0.5) | hand.is_pair)
@@ -198,9 +201,9 @@ def judge_tension(
 
 
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
-    """Return a mask (ticks, N), True where the tendon pulls at a tension because its digit is in contact.
+    """Return a mask (ticks, N), True where a tendon follows a tension target because the digit is in contact.
 
-    A spool pair that moves a digit sideways holds its position instead.
+    A spool pair for sideways motion is excluded, because such a pair holds a position instead.
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of = np.repeat(np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices])
@@ -218,10 +221,9 @@ def judge_grasp(
     offset_ns: int,
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Return the motion of the object in a hold, and the estimated and true fingertip forces.
+    """Return the motion of the object in a hold, and the estimated and the true forces on the fingertips.
 
-    The motion is NaN if the table under the object never sank, because the object then rests on the
-    table.
+    If the table never sank, the object still rests on the table, and the motion is NaN.
 
     Args:
         log: log of the run.
@@ -259,9 +261,9 @@ def judge_angles(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, dict[str, Any]]:
-    """Return the errors of the estimated joint angles of each digit during holds.
+    """Return the errors of the estimated joint angles of each digit in the settled ticks of holds.
 
-    In a run without holds, all ticks with an active hand are used.
+    In a run without settled ticks, all ticks in which the hand is active are used.
 
     Args:
         log: log of the run.
@@ -272,9 +274,10 @@ def judge_angles(
         holds: mask (ticks,) for each hold, True where the hold is settled.
 
     Returns:
-        For each digit `source` (see `angle_source`), `sigma_deg` (root mean square over joints and
-        ticks), `error_deg` (root mean square of the error) and `inside` (fraction of errors within
-        two standard deviations). The last two are NaN without a truth.
+        For each digit by name: `source` (see `angle_source`), `sigma_deg` (root mean square of the
+        estimated standard deviations), `error_deg` (root mean square of the errors) and `inside`
+        (fraction of the errors within two standard deviations). Without a truth, the last two are
+        NaN.
     """
     inside = np.any(holds, axis=0) if holds and np.any(holds) else active
     q = log.field("q")[inside]
@@ -296,9 +299,10 @@ def judge_angles(
 
 
 def angle_source(hand: Hand, name: str) -> str:
-    """Return the source of a digit's joint angles: "excursion", "encoders", or "assumed"."""
+    """Return the source of the estimated joint angles of a digit: "excursion", "encoders" or "assumed"."""
     digit = DigitModel.of(hand, name)
-    # With as many independent tendons as joints the excursions determine the angles.
+    # If a digit has as many independent tendons as joints, the tendon excursions determine its
+    # joint angles.
     if np.linalg.matrix_rank(digit.moment_arms) == digit.joint_count:
         return "excursion"
     return "encoders" if set(digit.joint_names) <= set(hand.sensor_node.joints) else "assumed"
@@ -309,11 +313,11 @@ ANGLE_SOURCE_TEXTS = {
     "encoders": "measured by joint encoders",
     "assumed": "assumed, not measured",
 }
-"""Printed text of each source of joint angles."""
+"""Text that is printed for each source of joint angles."""
 
 
 def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
-    """Return one row (title and text) per digit whose joint angles have a known deviation."""
+    """Return one row (title and text) for each digit whose joint angles have a known standard deviation."""
     rows = []
     for name, angle in angles.items():
         if angle["sigma_deg"] != angle["sigma_deg"]:
@@ -327,13 +331,14 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
 
 
 def measured_load(log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]) -> float:
-    """Return the fraction of a bus's time that the frames of a run occupy in the worst case.
+    """Return the fraction of a run's duration for which the frames occupy a bus in the worst case.
 
     Args:
-        log: log of the run, for its duration.
+        log: log of the run, whose duration is used.
         bitrate: bit rate of the bus [bit/s].
         data_bitrate: bit rate of the data phase [bit/s], or None.
-        sent: (payload bytes, CAN FD?) of every frame, in both directions.
+        sent: number of payload bytes of every frame in both directions, and True for a CAN FD
+            frame.
     """
     duration = float(log.times[-1] - log.times[0]) or 1.0
     return sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent) / duration

@@ -1,4 +1,7 @@
-"""Reader of the simulator's truth file, for the evaluation of a finished run. The controller never opens this file."""
+"""Reader of the simulator's truth file, used to evaluate a finished run.
+
+The controller never opens this file.
+"""
 
 import json
 from dataclasses import dataclass
@@ -12,12 +15,12 @@ from handctl.errors import LogError
 
 @dataclass(frozen=True, slots=True)
 class TruthRecord:
-    """True values of the plant.
+    """True values of the simulated plant during a run.
 
     Attributes:
-        header: first line of the file.
+        header: content of the first line of the truth file.
         t_ns: (rows,) time on the simulator's clock [ns].
-        values: (rows, columns) float64.
+        values: (rows, columns) float64, true values at each time.
         columns: names of the columns, e.g. `tension/index_tendon`, `q/index_j1`, `object/x`.
     """
 
@@ -27,25 +30,26 @@ class TruthRecord:
     columns: tuple[str, ...]
 
     def has(self, name: str) -> bool:
-        """Return True if a column exists."""
+        """Return True if the record has a column of this name."""
         return name in self.columns
 
     def covers(self, t_ns: NDArray[np.int64]) -> bool:
-        """Return True if the record includes any of the times."""
+        """Return True if at least one of the times lies within the record."""
         return bool(((t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])).any())
 
     def at(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return a column interpolated at times on the simulator's clock [ns].
+        """Return a column of the record, interpolated at times on the simulator's clock [ns].
 
-        Outside of the record the result is NaN.
+        At times outside the record, the result is NaN.
 
         Raises:
-            LogError: the column is missing because the truth is of another hand.
+            LogError: the column is missing, as in a truth file of another hand.
         """
         if name not in self.columns:
             raise LogError(f"no column {name!r}", "the simulator's truth", "a truth file of the same hand")
         values = self.values[:, self.columns.index(name)]
-        # Differences of int64 times are exact in float64. The times themselves are not.
+        # Differences of the int64 times are exact in float64. The times themselves are too large
+        # for that.
         base = int(self.t_ns[0])
         return np.interp(
             (t_ns - base).astype(np.float64),
@@ -56,7 +60,7 @@ class TruthRecord:
         )
 
     def table(self, names: list[str], t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return several columns at times [ns], (times, names)."""
+        """Return several columns of the record, interpolated at times on the simulator's clock [ns], (times, names)."""
         return np.column_stack([self.at(name, t_ns) for name in names])
 
 
@@ -86,6 +90,9 @@ def read_truth(path: Path) -> TruthRecord:
 
 
 def _complete_rows(data: bytes, columns: int) -> bytes:
-    """Return the data without an incomplete last row, which a killed simulator may leave."""
+    """Return the data of the rows without an incomplete last row.
+
+    A simulator that is killed may leave such a row.
+    """
     size = 8 * (columns + 1)
     return data[: len(data) // size * size]

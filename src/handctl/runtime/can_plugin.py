@@ -1,6 +1,6 @@
-"""The local bus as a python-can interface.
+"""The local bus of a simulator as a python-can interface, for programs that use python-can.
 
-Use: ``can.Bus(interface="local", channel="NAME")``, ``can.viewer -i local``.
+Examples: ``can.Bus(interface="local", channel="NAME")``, ``can.viewer -i local``.
 """
 
 import math
@@ -19,7 +19,7 @@ from handctl.runtime.buses.pythoncan import frame_of, message_of
 from handctl.runtime.paths import run_dir
 
 RETRY_S = 1e-3
-"""Pause before a frame refused by a full queue is sent again [s]."""
+"""Pause before a frame is sent again that a full queue has refused [s]."""
 
 
 class LocalCanBus(can.BusABC):
@@ -38,17 +38,17 @@ class LocalCanBus(can.BusABC):
         Args:
             channel: name of the bus, as in ``local:NAME``.
             can_filters: filters in the format of python-can.
-            receive_own_messages: True to deliver sent messages to this client as well.
-            fd: True to send and receive CAN FD frames.
-            **kwargs: options of other interfaces, such as the bit rate, which are ignored.
+            receive_own_messages: True if this client also receives the messages that it sends.
+            fd: True to send and receive CAN FD frames besides classical frames.
+            **kwargs: options of other interfaces, such as the bit rate. They are ignored.
 
         Raises:
             can.CanInitializationError: no hub of this name is running.
         """
         offset = time.time_ns() - time.monotonic_ns()  # python-can stamps messages with wall-clock time
         try:
-            # One record per read: a program that waits on ``fileno`` takes one message and waits
-            # again.
+            # Each read takes one record, because a program that waits on ``fileno`` takes one
+            # message and waits again.
             self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, max_records=1)
         except BusError as error:
             raise can.CanInitializationError(str(error)) from None
@@ -60,7 +60,7 @@ class LocalCanBus(can.BusABC):
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return the next message, or None after the timeout [s]. python-can applies the filters."""
+        """Return the next message, or None after the timeout [s], and False: python-can has to apply the filters."""
         if not self._waiting:
             if not self._link.early:
                 select.select([self._link], [], [], timeout)
@@ -85,11 +85,11 @@ class LocalCanBus(can.BusABC):
 
         Args:
             msg: message to send.
-            timeout: longest wait for free space in the queue [s]. None waits without limit.
+            timeout: longest wait for free space in the queue [s]. With None, the wait has no limit.
 
         Raises:
-            can.CanOperationError: the queue stayed full, the hub is gone, or an FD message was sent
-                on a bus that was opened without FD.
+            can.CanOperationError: the queue stayed full, the hub has ended, or a CAN FD message was
+                sent on a bus that was opened without CAN FD.
         """
         if msg.is_fd and not self._fd:
             raise can.CanOperationError("a CAN FD message on a bus that was opened without fd")
@@ -116,6 +116,6 @@ class LocalCanBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         """List the local buses of this user that have a socket on this machine."""
-        with suppress(BusError):  # no buses are listed if the folder is not safe
+        with suppress(BusError):  # no buses are listed if the folder of the sockets is not safe
             return [{"interface": "local", "channel": path.stem} for path in sorted(run_dir().glob("*.bus"))]
         return []

@@ -1,9 +1,9 @@
-"""Requests to a running controller, with confirmation by the controller.
+"""Requests to a running controller. The controller confirms each request.
 
-A sent datagram does not prove that the request was received. The controller may be paused, the
-mailbox may be full, or the socket may be left from a killed process. Every request therefore
-carries the name of its sender, and the controller confirms it with a status line that repeats this
-name.
+That a datagram was sent does not prove that the controller received it. The controller may be
+paused, its mailbox may be full, or a killed process may have left the socket. Every request
+therefore carries a unique name. The controller confirms the request with a status line that repeats
+this name.
 """
 
 import itertools
@@ -19,27 +19,27 @@ from handctl.programs.requests import events_for_request
 from handctl.runtime.mailbox import RETRY_S, WATCH, Watcher
 
 CONFIRMATION_TIMEOUT_S = 2.0
-"""Longest wait for a confirmation, and longest silence of a controller while relaxing the hand [s]."""
+"""Longest wait for a confirmation, and longest silence of a controller that relaxes its hand after a stop [s]."""
 REPEAT_S = 0.25
 """Interval between repetitions of a request [s].
 
-Only requests that may arrive twice are repeated.
+Only requests that have no other effect if they arrive twice are repeated.
 """
 OFF_TIMEOUT_S = 10.0
-"""Longest time from a stop to the confirmation of the last drive, in the hand's time [s]."""
+"""Longest time from a stop until the last drive confirms that it is off, in the run's time [s]."""
 CONTROLLER_SILENT = "the controller is silent"
 MAILBOX_FULL = "its mailbox is full"
 _numbers = itertools.count(1)
-"""Request numbers of this process, for unique request names."""
+"""Numbers of the requests of this process. They make the request names unique."""
 
 Line = dict[str, Any]
 
 
 def open_watcher(bus: str, word: str) -> Watcher:
-    """Return an open watcher of the controller of a bus, for one request.
+    """Return an open watcher of a bus's controller, for one request.
 
     Raises:
-        UnconfirmedError: the folder for the socket cannot be trusted.
+        UnconfirmedError: the folder of the sockets cannot be trusted.
     """
     try:
         return Watcher(bus)
@@ -52,13 +52,13 @@ def send_confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = 
 
     Args:
         watcher: watcher of the controller.
-        request: content of the request, without ``by``.
-        repeat: True to send the request repeatedly, also to a controller that has not started yet.
-            Only for requests that may arrive twice.
+        request: content of the request, without its name ``by``.
+        repeat: True to send the request repeatedly, also while no controller answers yet. Use it
+            only for requests that have no other effect if they arrive twice.
 
     Returns:
-        the status line of the tick in which the controller took the request, and the event texts of
-        this tick about the request (possibly a refusal).
+        the status line of the tick in which the controller took the request, and the texts of the
+        events about the request in this tick. A text may be a refusal.
 
     Raises:
         UnconfirmedError: the controller has not confirmed the request.
@@ -88,7 +88,8 @@ def _try_send(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, st
     """Send a request once.
 
     Returns:
-        True if the request was sent, and the reason to report if no confirmation follows.
+        True if the request was sent, and the reason to report to the user if no confirmation
+        follows.
     """
     try:
         watcher.send(data, timeout_s)
@@ -100,20 +101,20 @@ def _try_send(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, st
 
 
 def request_action(bus: str, word: str) -> Line:
-    """Request ``clear``, ``stop`` or ``cut``.
+    """Send the request ``clear``, ``stop`` or ``cut`` to a controller.
 
-    After ``stop`` and ``cut``, wait until the hand is off.
+    After ``stop`` and ``cut``, wait until all drives are off.
 
     Args:
         bus: bus of the controller.
-        word: name of the request.
+        word: request to send.
 
     Returns:
         the last status line of the controller.
 
     Raises:
-        UnconfirmedError: the controller has not taken the request, or has fallen silent before
-            every drive was off.
+        UnconfirmedError: the controller has not confirmed the request, or has not reported that
+            every drive is off.
         PowerError: a drive did not confirm that it is disabled.
     """
     watcher = open_watcher(bus, word)
@@ -125,12 +126,12 @@ def request_action(bus: str, word: str) -> Line:
 
 
 def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
-    """Wait until the controller of a stopping hand reports that every drive is off.
+    """Wait until a controller that stops its hand reports that every drive is off.
 
     Args:
         watcher: watcher of the controller.
         word: the confirmed request.
-        line: status line with the confirmation of the request.
+        line: status line that confirmed the request.
 
     Returns:
         the last status line of the controller.
@@ -164,7 +165,7 @@ def is_off(line: Line) -> bool:
 
 
 def _mode_texts(line: Line) -> list[str]:
-    """Return the event texts about mode changes in a status line."""
+    """Return the texts of the events about mode changes in a status line."""
     return [event["text"] for event in line["events"] if event["name"] == "mode"]
 
 

@@ -1,7 +1,8 @@
-"""Limit for the time for which a fault may hold a run that no operator watches.
+"""Limit of the time for which a fault may hold the hand in a run that no operator watches.
 
-The time of a program stops while a fault holds the hand. A hand that oscillates with its gains reports its encoder as
-noisy (N07) and is held as long as it oscillates, which is forever.
+The time of a motion program stands still while a fault holds the hand. A hand whose gains make it
+oscillate reports a noisy encoder (fault N07). It is then held as long as it oscillates, which may
+be forever.
 """
 
 from dataclasses import dataclass, field
@@ -12,15 +13,15 @@ from handctl.runtime.mailbox import STOP
 from handctl.safety.action import Action
 
 MAX_HOLD_S = 5.0
-"""Longest time for which a fault may hold such a run [s]."""
+"""Longest time for which a fault may hold the hand in such a run [s]."""
 
 
 @dataclass
 class HoldLimit:
-    """Observer that stops a run which a fault holds for too long.
+    """Run observer that stops the run if a fault holds the hand for too long.
 
     Attributes:
-        reason: fault that held the hand, empty if the run was not stopped.
+        reason: fault for which the run was stopped, empty if the run was not stopped.
     """
 
     reason: str = ""
@@ -49,7 +50,7 @@ class HoldLimit:
             self._requests.append(STOP)
 
     def refuse_stopped(self, where: str) -> None:
-        """Raise an error if the run was stopped.
+        """Raise an error if this observer has stopped the run.
 
         Raises:
             DriveError: a fault held the hand for too long.

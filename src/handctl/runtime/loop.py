@@ -1,11 +1,11 @@
-"""The fixed-rate loop: wait, drain, begin the tick, read requests, send, conclude the tick, record.
+"""The fixed-rate control loop: wait, receive frames, begin the tick, read requests, send, conclude the tick, record.
 
 The same loop runs in real time and in lockstep.
 
-The loop never catches up. After a missed deadline the loop skips tick numbers, and the tick
-function decides if the gap is a fault. This module has the only broad ``except`` of the project:
-after any error inside a tick the loop disables the drives and polls whether they are off, before it
-raises the error again.
+The loop never executes missed ticks later. After missed deadlines it skips their tick numbers, and
+the tick decides if the gap is a fault. This module has the only broad ``except`` of the project:
+after any error inside a tick the loop disables the drives, and polls them until they report off.
+Then it raises the error again.
 """
 
 import gc
@@ -31,42 +31,45 @@ T = TypeVar("T", covariant=True)
 
 
 class OpenTick(Protocol[T]):
-    """Methods of a begun tick that the loop needs, see ``controller.tick.OpenTick``."""
+    """Interface of a begun tick, as used by the loop. See ``controller.tick.OpenTick``."""
 
     def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
-        """Apply requests, and return the frames to send."""
+        """Apply the requests of operators and programs, and return the frames to send."""
         ...
 
     def conclude(self) -> tuple[T, TickOut]:
-        """Return the state after the tick and the output of the tick."""
+        """Return the state of the controller after the tick, and the output of the tick."""
         ...
 
 
 CUT_TRIES = 20
-"""Number of attempts to send the last cut on an interface that refuses frames."""
+"""Number of attempts to send the cut after an error, on an interface that refuses frames."""
 CUT_PAUSE_S = 1e-3
-"""Pause between two attempts [s]. A frame takes 0.1 ms on the wire."""
+"""Pause between two of these attempts [s]. A frame takes 0.1 ms on the wire."""
 
 CONFIRM_NS = 500_000_000
-"""Duration of polling the drives after an error [ns]. Heartbeats may arrive only every 100 ms."""
+"""Longest time for which the drives are polled after an error [ns].
+
+Their heartbeats may arrive only every 100 ms.
+"""
 
 LATENESS_RING = 1 << 18
-"""Number of ticks whose lateness is kept in memory (2 MiB). The memory may be locked."""
+"""Number of ticks whose lateness stays in memory. This takes 2 MiB, and memory may be locked."""
 
 
 class LoopBus(Protocol):
-    """Methods of a bus that the loop needs, see ``runtime.buses.contract``."""
+    """Interface of a bus, as used by the loop. See ``runtime.buses.contract``."""
 
     def drain(self) -> Frames:
-        """Return the received frames."""
+        """Return the frames received since the last call."""
         ...
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Send frames and return the number of accepted ones."""
+        """Send frames, and return the number of frames that the bus has accepted."""
         ...
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        """Return the events since the last call."""
+        """Return the events of the bus since the last call."""
         ...
 
 
@@ -75,10 +78,10 @@ class LoopStats:
     """Statistics of a run of the loop.
 
     Attributes:
-        ticks: number of ticks.
+        ticks: number of executed ticks.
         missed: number of skipped deadlines.
-        late_ns: lateness of the last ``LATENESS_RING`` ticks [ns], not in order after more ticks.
-            The log has the lateness of all ticks.
+        late_ns: lateness of the last ``LATENESS_RING`` ticks [ns]. The values are in order only if
+            the run had no more ticks. The log has the lateness of all ticks.
         frames_tx: number of sent frames.
         frames_rx: number of received frames.
         refused: number of frames refused by the bus.
@@ -95,16 +98,16 @@ class LoopStats:
 
 
 class StopSignals:
-    """Signals that end a program, converted to requests.
+    """Signals that end a program (SIGINT, SIGTERM, SIGHUP), converted to requests to the controller.
 
-    The first signal relaxes and stops the hand, the second cuts the torque.
+    The first signal relaxes and stops the hand. Every further signal cuts the torque.
 
     SIGHUP is included, because a closed terminal would otherwise leave the hand armed. Under
     ``nohup``, SIGHUP stays ignored.
 
     Attributes:
         count: number of received signals.
-        seen: number of signals already converted by ``take`` to requests.
+        seen: number of signals that ``take`` has already converted to requests.
     """
 
     def __init__(self) -> None:
@@ -117,7 +120,10 @@ class StopSignals:
         self.count += 1
 
     def take(self) -> tuple[str, ...]:
-        """Return the request for the next signal. Each tick gets at most one signal."""
+        """Return the request for the next unread signal, if there is one.
+
+        Each tick gets at most one.
+        """
         if self.seen == self.count:
             return ()
         self.seen += 1
@@ -125,18 +131,18 @@ class StopSignals:
 
     @contextmanager
     def installed(self) -> Iterator[None]:
-        """Install the signal handler during a block."""
+        """Install the signal handler during a ``with`` block."""
         under_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
         with installed_handler(self, signal.SIGINT, signal.SIGTERM, *([] if under_nohup else [signal.SIGHUP])):
             yield
 
 
 def _no_snapshot(entry: TickIn, state: object) -> None:
-    """Ignore the state: no snapshot is recorded."""
+    """Do nothing, as a stand-in for a recorder of snapshots."""
 
 
 def _no_observer(entry: TickIn, out: TickOut, state: object, sent_ns: int) -> None:
-    """Ignore the state: no program observes the hand."""
+    """Do nothing, as a stand-in for programs that observe the hand."""
 
 
 @dataclass
@@ -146,22 +152,25 @@ class Loop(Generic[S]):
     Attributes:
         clock: clock in real time or in lockstep.
         period_ns: control period [ns].
-        buses: buses in the order of the hand file. A single object may be used for all buses.
-        begin: function that begins a tick with the received frames, from the last state. Requests
-            are read after it, so that a streamed target waits as briefly as possible.
+        buses: buses in the order of the hand file. A list with one object may serve all buses.
+        begin: function that begins a tick, from the last state of the controller and the received
+            frames. The loop reads requests after it, so that a streamed target waits as briefly as
+            possible.
         cut: frames that remove the torque, built before the run.
-        requests: function that returns the requests of operators and programs since the last call.
-        host_events: function that returns the events of recorder and host since the last call.
-        record: function that gives one tick to the recorder.
-        keep: function that gives the state after a tick to the recorder, at intervals.
-        show: function that displays the state of a tick, at intervals.
-        observe: function that gives the state after a tick to observing programs, with the time at
-            which the commands were sent [ns of CLOCK_MONOTONIC].
-        let_go: function that commands all drives to disable, from the last state, the time [ns] and
-            the frames received since then. Returns the next state, frames to send, and the drives
-            without a report of off.
-        urgent: context manager around the ticks only, such as real-time priority.
-        stats: statistics of this run.
+        requests: function returning the requests of operators and programs since the last call.
+        host_events: function returning the events of the recorder and the host since the last call.
+        record: function that passes each tick to the recorder.
+        keep: function that passes the state after a tick to the recorder. Most ticks are skipped.
+        show: function that shows a tick to the operator and to watching programs. Most ticks are
+            skipped.
+        observe: function that passes the state after a tick to programs that observe the run, with
+            the time at which the commands were sent [ns of CLOCK_MONOTONIC].
+        let_go: function that disables all drives. Its arguments are the last state, the time [ns],
+            and the frames received since then. It returns the next state, the frames to send, and
+            the names of the drives that have not reported off.
+        urgent: function returning a context manager for the ticks alone, such as real-time
+            priority.
+        stats: statistics of the run.
     """
 
     clock: Clock
@@ -181,9 +190,12 @@ class Loop(Generic[S]):
     _k: int = 0
 
     def run(self, state: S) -> S:
-        """Run ticks until the hand is disarmed and the run is done. Returns the final state."""
+        """Run ticks until the run is done and the hand is disarmed.
+
+        Returns the final state of the controller.
+        """
         self._warm_up(state)
-        gc.collect()  # a collection inside a tick would make it late
+        gc.collect()  # a garbage collection inside a tick would make the tick late
         gc.freeze()
         gc.disable()
         cpu_s = time.process_time()
@@ -199,10 +211,11 @@ class Loop(Generic[S]):
             self.stats.cpu_s = time.process_time() - cpu_s
 
     def _run_guarded(self, state: S) -> S:
-        """Run the ticks. After any error disable the drives, then raise the error again.
+        """Run the ticks. After any error, disable the drives and raise the error again.
 
         Raises:
-            PowerError: raised from that error, if a drive did not report off.
+            PowerError: after an error, a drive has not reported off. The first error is the cause
+                of this one.
         """
         last = [state]
         try:
@@ -218,9 +231,9 @@ class Loop(Generic[S]):
             raise
 
     def _poll_until_off(self, state: S) -> tuple[str, ...]:
-        """Disable and poll the drives after an error.
+        """Disable the drives after an error, and poll them until all report off or the time CONFIRM_NS has passed.
 
-        Returns the drives without a report of off.
+        Returns the names of the drives that have not reported off.
         """
         if self.let_go is None:
             return ()
@@ -248,9 +261,9 @@ class Loop(Generic[S]):
             time.sleep(CUT_PAUSE_S)
 
     def _send_cut_once(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
-        """Send the given frames on every bus, and remove the accepted frames from ``left``.
+        """Send the frames in ``left`` on their buses, and remove the accepted frames from ``left``.
 
-        An exception from one bus does not prevent the cut on the others.
+        An exception from one bus does not prevent the cut on the other buses.
         """
         if not left:
             return
@@ -262,25 +275,25 @@ class Loop(Generic[S]):
             self._send_cut_once(others)
 
     def _warm_up(self, state: S) -> None:
-        """Run a tick and discard its result.
+        """Run a tick before the run, and discard its result.
 
-        So objects and imports of the first use do not delay the first tick of the run.
+        Imports and objects that the first use creates then do not delay the first tick of the run.
         """
         tick = self.begin(state, TickIn(0, 0))
         tick.command(())
         tick.conclude()
 
     def _run(self, last: list[S]) -> S:
-        """Run ticks from the last state to the end.
+        """Run ticks from the state in ``last`` to the end of the run.
 
-        ``last`` always has the state after the last complete tick.
+        The only entry of ``last`` is always the state after the last complete tick.
         """
         k = 0
         mode = Mode.SILENT
         while mode != Mode.DONE:
             self._k = k
             late = self.clock.wait(k)
-            skipped = late // self.period_ns  # a missed tick is skipped, and not executed later
+            skipped = late // self.period_ns  # missed ticks are skipped, and not executed later
             k += skipped
             entry = self._collect(k, late - skipped * self.period_ns)
             tick = self.begin(last[0], entry)
@@ -299,7 +312,7 @@ class Loop(Generic[S]):
         return last[0]
 
     def _collect(self, k: int, late_ns: int) -> TickIn:
-        """Collect frames and events for a tick."""
+        """Collect the received frames and the events since the last tick."""
         parts: list[Frames] = []
         events = self.host_events()
         for bus in self.buses:
@@ -321,7 +334,7 @@ class Loop(Generic[S]):
         self.stats.refused += len(frames) - accepted
 
     def _count_tick(self, entry: TickIn, skipped: int, late: int) -> None:
-        """Count a tick and record its lateness."""
+        """Count a tick in the statistics, and record its lateness."""
         stats = self.stats
         if stats.ticks < LATENESS_RING:
             stats.late_ns.append(late)

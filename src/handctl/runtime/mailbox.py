@@ -1,10 +1,10 @@
-"""The request socket of a running controller: a Unix datagram socket per bus name, read without blocking.
+"""The mailbox of a running controller: a Unix datagram socket that receives requests and is read without blocking.
 
-A program that sends ``{"do": "watch"}`` from its own socket gets status lines. This request is
-handled here and has no effect on the tick. A program that sends any other request from its own
-socket gets the status line of the tick that took the request. This status line is the controller's
-confirmation. On Linux the kernel names the user of every sender. Controller and program accept only
-datagrams from this user and from root.
+The socket has the name of the bus. A program that sends ``{"do": "watch"}`` from its own socket
+subscribes to status lines. This request is handled here and has no effect on the tick. A program
+that sends any other request from its own socket gets the status line of the tick that took the
+request. That status line is the controller's confirmation. On Linux the kernel reports the user who
+sends a datagram. Controller and program accept only datagrams from their own user and from root.
 """
 
 import fcntl
@@ -24,19 +24,19 @@ from handctl.runtime.peers import name_senders, receive_datagram
 MAX_REQUEST_BYTES = 4096
 """Longest request [bytes]. A longer request is truncated, and then refused as invalid JSON."""
 STOP, CUT, CLEAR = (f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear"))
-"""Requests sent by several modules."""
+"""Requests as texts, for the modules that send them."""
 WATCH = b'{"do": "watch"}'
 MAX_WATCHERS = 16
-"""Largest number of programs with a continuous subscription.
+"""Largest number of programs that may subscribe to status lines.
 
-Further programs get one status line for each ``watch``.
+Any further program gets one status line for each ``watch`` that it sends.
 """
 MAX_STATUS_BYTES = 65536
 """Longest status line [bytes]."""
 RETRY_S = 0.05
-"""Pause between requests to a controller that has not started yet [s]."""
+"""Pause before a request is sent again, to a controller that has not started yet or has a full mailbox [s]."""
 MAX_REQUESTS_PER_TICK = 16
-"""Largest number of requests read per tick.
+"""Largest number of requests read by the controller per tick.
 
 The limit keeps a flood of requests from delaying a tick.
 """
@@ -44,20 +44,20 @@ RIGHT_FOLDER = "HANDCTL_RUN_DIR with a short path to a writable folder"
 
 
 class Mailbox:
-    """Receiving end of the request socket, owned by the controller.
+    """Receiving end of the mailbox, owned by the controller.
 
     Attributes:
         path: path of the socket.
         socket: Unix datagram socket.
         watchers: socket paths of the programs that subscribe to status lines.
-        askers: socket paths of the programs that sent the requests of the last ``read``.
+        askers: socket paths of the programs whose requests the last ``read`` returned.
     """
 
     def __init__(self, name: str) -> None:
-        """Bind the socket of controller ``name``.
+        """Bind the socket of the controller of bus ``name``, and lock the bus.
 
         Raises:
-            BusError: another controller of this name is running.
+            BusError: another controller of this bus is running, or the socket cannot be created.
         """
         self.path = mailbox_path(name)
         try:
@@ -89,7 +89,7 @@ class Mailbox:
                     continue
                 if len(self.watchers) < MAX_WATCHERS:
                     self.watchers.append(sender)
-                else:  # a watcher stays subscribed, so that its program may read status lines without a new request
+                else:  # all subscriptions are taken, so the program gets one status line
                     self.askers.append(sender)
                 continue
             texts.append(data.decode("utf-8", "replace"))
@@ -98,7 +98,10 @@ class Mailbox:
         return tuple(texts)
 
     def publish(self, status: dict[str, Any]) -> None:
-        """Send a status line to all watchers and askers. A watcher without a socket is removed."""
+        """Send a status line to all watchers and askers.
+
+        A watcher whose socket has been removed is removed too.
+        """
         line = json.dumps(status).encode()
         for listener in {*self.watchers, *self.askers}:
             try:
@@ -109,7 +112,7 @@ class Mailbox:
                 self.watchers = [watcher for watcher in self.watchers if watcher != listener]
 
     def close(self) -> None:
-        """Remove the socket and release the lock of the bus."""
+        """Remove the socket of the controller, and release the lock of the bus."""
         self.socket.close()
         self.path.unlink(missing_ok=True)
         os.close(self._lock)
@@ -117,10 +120,10 @@ class Mailbox:
 
 @contextmanager
 def bus_lock(name: str) -> Iterator[None]:
-    """Lock a further bus of a hand against other controllers, without a mailbox.
+    """Lock another bus of the same hand against other controllers. Such a bus has no mailbox.
 
     Raises:
-        BusError: another controller uses the bus.
+        BusError: another controller uses the bus, or the lock cannot be created.
     """
     try:
         lock = _lock_bus(name)
@@ -158,7 +161,7 @@ def _lock_bus(name: str) -> int:
 
 
 def is_running(name: str) -> bool:
-    """Return True if a controller now takes requests on a bus.
+    """Return True if a controller is running that takes requests for a bus.
 
     A socket left from a killed controller does not count.
     """
@@ -166,16 +169,16 @@ def is_running(name: str) -> bool:
 
 
 class RequestSender:
-    """Sender of requests that need no reply."""
+    """Sender of requests to a controller, for requests that need no reply."""
 
     def __init__(self, name: str) -> None:
-        """Open a socket for controller ``name``. The controller may start later."""
+        """Open a socket for the controller of bus ``name``. The controller may start later."""
         self._path = str(mailbox_path(name))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
     def send(self, data: bytes) -> bool:
-        """Send a request. Returns False if the mailbox is full.
+        """Send a request. Returns False if the mailbox of the controller is full.
 
         Raises:
             OSError: no controller runs.
@@ -192,7 +195,7 @@ class RequestSender:
 
 
 class Watcher:
-    """Socket of a program that watches a running controller.
+    """Socket on which a program receives the status lines of a running controller.
 
     Attributes:
         name: bus of the controller.
@@ -203,7 +206,7 @@ class Watcher:
     _numbers = itertools.count()
 
     def __init__(self, name: str) -> None:
-        """Bind a socket to watch controller ``name``. The controller may start later.
+        """Bind a socket to watch the controller of bus ``name``. The controller may start later.
 
         Raises:
             BusError: the socket cannot be created.
@@ -220,7 +223,10 @@ class Watcher:
             raise BusError(f"cannot receive replies: {error}", str(self.path.parent), RIGHT_FOLDER) from None
 
     def fresh_line(self, timeout_s: float) -> dict[str, Any] | None:
-        """Request a status line, and return it, or None if none arrived in time [s]."""
+        """Request a new status line and return it.
+
+        Return None if none arrives within the timeout [s].
+        """
         self.discard()
         try:
             self.send(WATCH, timeout_s)
@@ -233,8 +239,8 @@ class Watcher:
         """Send a datagram to the controller from this socket, so that the controller can answer.
 
         Args:
-            data: datagram.
-            timeout_s: longest wait for free space in the mailbox [s].
+            data: content of the datagram.
+            timeout_s: longest wait for free space in the mailbox of the controller [s].
 
         Raises:
             OSError: no controller runs, or the mailbox stayed full.
@@ -247,7 +253,7 @@ class Watcher:
         self.socket.settimeout(timeout_s)
         try:
             data, _, ours = receive_datagram(self.socket, MAX_STATUS_BYTES)
-        except (TimeoutError, BlockingIOError):  # BlockingIOError comes with a timeout of 0
+        except (TimeoutError, BlockingIOError):  # with a timeout of 0, the error is BlockingIOError
             return None
         if not ours:
             return None
@@ -255,7 +261,7 @@ class Watcher:
         return line
 
     def lines(self, timeout_s: float) -> Iterator[dict[str, Any]]:
-        """Yield status lines until none arrives within the timeout [s]."""
+        """Yield the status lines that arrive until the timeout [s] has passed."""
         end = time.monotonic() + timeout_s
         while (left := end - time.monotonic()) > 0.0:
             line = self.next_line(left)
@@ -272,6 +278,9 @@ class Watcher:
             return
 
     def close(self) -> None:
-        """Remove the socket. The controller removes this watcher at the next status line."""
+        """Remove the socket.
+
+        The controller then removes this watcher when it sends its next status line.
+        """
         self.socket.close()
         self.path.unlink(missing_ok=True)

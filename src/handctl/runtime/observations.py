@@ -1,11 +1,13 @@
-"""Observations of a running hand in shared memory: one numpy record per tick, for any number of readers.
+"""Observations of a running hand in shared memory: one numpy record per tick, for any number of reading programs.
 
-The controller writes records into a ring in a file of the run folder. A reader maps the file and
-copies records. No lock and no system call is needed. A record has a counter that is odd while the
-record is written (a seqlock). A reader repeats a copy whose counter has changed.
+The controller writes the records into a ring. The ring is part of a file in the folder of the
+sockets. A reader maps the file and copies records, without a lock and without system calls. Each
+record has a counter that is odd while the record is written (a seqlock). If the counter has changed
+during a copy, the reader copies again.
 
-File: magic 8 bytes, lengths of the description and of a record, number of records, number of
-records written so far, end mark, u64 each. Then the description as JSON, then the ring.
+The file begins with a magic text of 8 bytes and five u64 numbers: length of the description, size
+of a record, number of records in the ring, number of records written so far, and end mark. The
+description as JSON and the ring follow.
 """
 
 import contextlib
@@ -28,16 +30,16 @@ from handctl.runtime.paths import observations_path
 
 MAGIC = b"HCOBS001"
 HEADER = struct.Struct("<8sQQQQQ")
-"""Start of the file: magic, length of the description, size of a record, records, written so far, end mark."""
+"""Start of the file, see the module: magic text, and five numbers that describe the ring."""
 WRITTEN_AT = 32
 ENDED_AT = 40
-"""Offsets in the file: number of records written so far, end mark."""
+"""Offsets in the file [bytes]: of the number of records written so far, and of the end mark."""
 RING_RECORDS = 512
-"""Records in the ring: about a second at 500 Hz."""
+"""Number of records in the ring, about one second of a run at 500 Hz."""
 PAGE_BYTES = 4096
-"""Alignment of the ring [bytes]."""
+"""Alignment of the ring in the file [bytes]."""
 COPY_ATTEMPTS = 100
-"""Number of attempts to copy a record that is being overwritten."""
+"""Number of attempts to copy a record, if the controller overwrites it meanwhile."""
 PUBLISHED_NAMES = {
     "q": "q_rad", "dq": "dq_rad_s", "q_goal": "q_goal_rad", "dq_goal": "dq_goal_rad_s",
     "joint_torque": "joint_torque_N_m", "joint_encoder": "joint_encoder_rad", "excursion": "excursion_m",
@@ -49,7 +51,7 @@ PUBLISHED_NAMES = {
     "motor_temperature": "motor_temperature_degC", "motor_age": "motor_age_s", "drive_phase": "drive_phase",
     "tip_force": "tip_force_N", "contact": "contact", "q_sigma": "q_sigma_rad", "tip_force_sigma": "tip_force_sigma_N",
 }  # fmt: skip
-"""Name of each telemetry field in a record, with its unit."""
+"""Name that each telemetry field has in a record. The name ends with the unit."""
 COUNTER = "<u8"
 LEADING_FIELDS: tuple[tuple[str, str], ...] = (
     ("k", "<i8"), ("t_ns", "<i8"), ("late_ns", "<i8"), ("published_ns", "<i8"), ("mode", "<i4"), ("action", "<i4"),
@@ -57,16 +59,16 @@ LEADING_FIELDS: tuple[tuple[str, str], ...] = (
     ("stream_number", "<i8"), ("stream_age_s", "<f8"), ("stream_accepted", "<i8"), ("stream_clipped", "<i8"),
     ("stream_late", "<i8"), ("stream_refused", "<i8"), ("stream_limited", "<i8"),
 )  # fmt: skip
-"""Fields of a record that precede the telemetry."""
+"""Fields of a record before the telemetry fields."""
 _FIXED = struct.Struct("<qqqqii24sqdqqqqq")
 
 
 def record_type(axes: Mapping[str, int]) -> np.dtype[np.void]:
-    """Return the numpy type of a record.
+    """Return the numpy type of the record of a tick.
 
     Args:
-        axes: numbers of joints, tendons, motors and digits, with the keys "joint", "tendon",
-            "motor" and "digit".
+        axes: numbers of joints, tendons, motors and digits of the hand, with the keys "joint",
+            "tendon", "motor" and "digit".
     """
     numbers = [(PUBLISHED_NAMES[name], "<f8", (axes[TELEMETRY_AXES[name]],)) for name in TELEMETRY_FIELDS]
     return np.dtype([*LEADING_FIELDS, *numbers])
@@ -76,12 +78,12 @@ class ObservationWriter:
     """Writer of the observations, owned by the controller."""
 
     def __init__(self, bus: str, axes: Mapping[str, int], description: Mapping[str, Any]) -> None:
-        """Create the shared-memory file of a bus.
+        """Create the shared-memory file for the observations of a bus.
 
         Args:
             bus: bus of the controller. The controller holds the lock of this bus.
             axes: see ``record_type``.
-            description: names and constants of the hand, for readers.
+            description: names and constants of the hand, for the readers of the file.
 
         Raises:
             BusError: the file cannot be created.
@@ -102,8 +104,8 @@ class ObservationWriter:
             self._map = mmap.mmap(descriptor, 0)
         finally:
             os.close(descriptor)
-        # Fields of 8 bytes follow each other without gaps: the telemetry is one vector at the end
-        # of a record.
+        # All telemetry fields consist of 8-byte numbers without gaps. They are written as one
+        # vector at the end of a record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
         assert kind.itemsize == _FIXED.size + 8 * count
         starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
@@ -120,8 +122,8 @@ class ObservationWriter:
         Args:
             entry: inputs of the tick.
             out: output of the tick.
-            stream: state of the stream of targets.
-            sent_ns: CLOCK_MONOTONIC after the commands of the tick were sent [ns].
+            stream: status of the stream of targets from a client.
+            sent_ns: CLOCK_MONOTONIC when the commands of the tick had been sent [ns].
         """
         numbers = out.telemetry
         assert isinstance(numbers, PackedTelemetry)
@@ -139,7 +141,7 @@ class ObservationWriter:
         self._total[0] = written + 1
 
     def close(self) -> None:
-        """Write the end mark for the readers, and remove the file."""
+        """Write the end mark, by which readers know that the run has ended, and remove the file."""
         self._ended[0] = 1
         self.path.unlink(missing_ok=True)
         del self._counters, self._numbers, self._total, self._ended
@@ -155,10 +157,11 @@ class ObservationReader:
     """
 
     def __init__(self, bus: str) -> None:
-        """Map the file of a running controller.
+        """Map the file with the observations of a running controller.
 
         Raises:
-            BusError: no controller writes observations for this bus.
+            BusError: no controller writes observations for this bus, or the controller has another
+                version.
         """
         self._path: Path = observations_path(bus)
         try:
@@ -177,7 +180,7 @@ class ObservationReader:
 
     @property
     def written(self) -> int:
-        """Return the number of records so far."""
+        """Return the number of records written so far."""
         return int.from_bytes(self._map[WRITTEN_AT : WRITTEN_AT + 8], "little")
 
     @property
@@ -198,13 +201,14 @@ class ObservationReader:
         return None
 
     def next(self) -> NDArray[np.void] | None:
-        """Return the record after the last returned record, or None if none has been written yet.
+        """Return the record that follows the last returned record, or None if it has not been written yet.
 
-        If the next record has already been overwritten, the oldest record in the ring is returned.
+        If that record has already been overwritten, the oldest usable record in the ring is
+        returned.
         """
         for _ in range(COPY_ATTEMPTS):
             written = self.written
-            # The oldest slot may be overwritten next, so the reader does not use it.
+            # The controller overwrites the oldest record next, so the reader does not use it.
             at = max(self.seen, written - self._records + 2)
             if at >= written:
                 return None
@@ -215,7 +219,7 @@ class ObservationReader:
         return None
 
     def read(self, index: int) -> NDArray[np.void] | None:
-        """Return the record with this number, or None if it was overwritten."""
+        """Return the record with the number ``index``, or None if it is not in the ring."""
         start = self._ring_at + self._size * (index % self._records)
         data = self._map[start : start + self._size]
         after = self._map[start : start + 8]
@@ -225,6 +229,6 @@ class ObservationReader:
         return np.frombuffer(data, self.kind, 1, 8).reshape(())
 
     def close(self) -> None:
-        """Unmap the file."""
+        """Unmap the file with the observations."""
         with contextlib.suppress(BufferError):
             self._map.close()

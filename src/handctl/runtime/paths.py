@@ -1,11 +1,11 @@
-"""Paths of the sockets and truth files of this user, protected against other users.
+"""Paths of this user's sockets and shared files of runs, protected against other users.
 
-A user who can write in the folder of the sockets could replace the socket of a controller and
-receive its stop request. The folder is therefore used only if no other user can change it or any
-folder above it. The check walks from the root downwards, each step relative to the folder that was
-just checked. Only the owner of a folder, root, and users who can write in its parent can replace
-the folder. The check makes sure that these are only this user and root, so a checked folder cannot
-be replaced later.
+A user who can write in the folder of the sockets could replace the socket of a controller, and
+receive its stop request instead. The folder is therefore used only if no other user can change the
+folder or any folder above it. The check walks from the root folder downwards, and opens each folder
+relative to the folder just checked. A folder can be replaced only by its owner, by root, and by
+users who can write in its parent. The check makes sure that these are only this user and root. A
+checked folder can therefore not be replaced later.
 """
 
 import os
@@ -19,28 +19,33 @@ from pathlib import Path
 from handctl.errors import BusError
 
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-"""Permission bits for writing by group or others."""
+"""Permission bits that let the group or other users write."""
 GROUP_AND_OTHERS = stat.S_IRWXG | stat.S_IRWXO
-"""Permission bits of group and others."""
+"""All permission bits of the group and of other users."""
 PRIVATE_MODE = 0o700
-"""Permission bits of a folder created by handctl."""
+"""Permission bits of folders created by handctl."""
 OPEN_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
-"""Flags to open a parent folder. With O_PATH no permission to read the folder is needed."""
+"""Flags to open a parent folder.
+
+With O_PATH, the user need not have permission to read the folder.
+"""
 MAX_LINKS = 8
-"""Largest number of symbolic links to follow."""
+"""Largest number of symbolic links to follow on the way to a folder."""
 RIGHT_FOLDER = "a folder that only you can access (mode 0700); HANDCTL_RUN_DIR names another"
 
 
 def run_dir() -> Path:
-    """Return the folder for sockets, after a check that no other user can change the folder.
+    """Return the folder for the sockets, after a check that no other user can change the folder.
 
     A missing folder is created.
 
-    The folder is HANDCTL_RUN_DIR, else XDG_RUNTIME_DIR/handctl, else TMP/handctl-UID/handctl.
+    The folder is HANDCTL_RUN_DIR if this variable is set. Otherwise it is XDG_RUNTIME_DIR/handctl
+    if that variable is set. Otherwise it is handctl-UID/handctl in the folder for temporary files.
 
     Raises:
         BusError: the folder cannot be created, or the folder or a parent belongs to another user,
-            is writable by others, or is a symbolic link.
+            is writable by others, or is a symbolic link. Links of root in parent folders are
+            followed.
     """
     if override := os.environ.get("HANDCTL_RUN_DIR"):
         return _private_folder(Path(override), 1)
@@ -50,11 +55,11 @@ def run_dir() -> Path:
 
 
 def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
-    """Walk from the root to a folder, check each folder on the way, and create missing folders.
+    """Walk from the root folder to a folder. Check each folder on the way, and create missing folders.
 
     Args:
         path: path of the folder.
-        private_parts: number of last parts of the path that must belong to this user.
+        private_parts: number of parts at the end of the path that must belong to this user.
         links: number of symbolic links followed so far.
 
     Raises:
@@ -69,12 +74,14 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
             private = number >= len(parts) - private_parts
             state = _stat_or_make(part, at)
             if stat.S_ISLNK(state.st_mode):
-                if private or state.st_uid != 0 or links == MAX_LINKS:  # only links of root pass, as /tmp on macOS
+                # Only links of root are followed, such as /tmp on macOS.
+                if private or state.st_uid != 0 or links == MAX_LINKS:
                     raise BusError("is a link", str(here), RIGHT_FOLDER)
                 target = here.parent / os.readlink(part, dir_fd=at)
                 return _private_folder(target.joinpath(*parts[number + 1 :]), private_parts, links + 1)
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else OPEN_FLAGS
-            below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)  # relative: a renamed parent changes nothing
+            # The path is relative to the checked parent, so that renaming a parent has no effect.
+            below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
             os.close(at)
             at = below
             (_refuse_shared if private else _refuse_unsafe)(here, at)
@@ -86,21 +93,22 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
 
 
 def _stat_or_make(part: str, at: int) -> os.stat_result:
-    """Return the status of a part of a path without following a link.
+    """Return the file status of a part of a path. A symbolic link is not followed.
 
     A missing part is created as a folder.
     """
     with suppress(FileNotFoundError):
         return os.stat(part, dir_fd=at, follow_symlinks=False)
-    with suppress(FileExistsError):  # another process has made the folder meanwhile, and it is checked like any other
+    # Another process may make the folder at the same time. It is then checked like any other.
+    with suppress(FileExistsError):
         os.mkdir(part, PRIVATE_MODE, dir_fd=at)
     return os.stat(part, dir_fd=at, follow_symlinks=False)
 
 
 def _refuse_shared(here: Path, at: int) -> None:
-    """Raise an error if others own or can write in a folder of handctl.
+    """Raise an error if another user owns a folder of handctl or can write in it.
 
-    A folder readable by others is made private.
+    If other users can only read the folder, their permission is removed.
     """
     state = os.fstat(at)
     if state.st_uid != os.geteuid():
@@ -112,10 +120,10 @@ def _refuse_shared(here: Path, at: int) -> None:
 
 
 def _refuse_unsafe(here: Path, at: int) -> None:
-    """Raise an error if others could replace handctl's folder in a parent folder.
+    """Raise an error if another user could replace handctl's folder in this parent folder.
 
-    A parent folder with the sticky bit, such as /tmp, is safe: only the owner of an entry can
-    replace the entry.
+    A parent folder with the sticky bit, such as /tmp, is safe. Only the owner of an entry can
+    replace the entry there.
     """
     state = os.fstat(at)
     if state.st_uid not in (0, os.geteuid()):
@@ -125,19 +133,19 @@ def _refuse_unsafe(here: Path, at: int) -> None:
 
 
 def _user_name(number: int) -> str:
-    """Return the name of a user, or the number if the user has no name here."""
+    """Return the name of a user, or the number of a user without a name on this machine."""
     with suppress(KeyError):
         return f"user {pwd.getpwuid(number).pw_name}"
     return f"user {number}"
 
 
 def _file_name(spec: str) -> str:
-    """Return a bus specification converted to a file name."""
+    """Return the beginning of the file names for a bus specification."""
     return spec.replace(":", "_").replace("/", "_")
 
 
 def local_bus_path(name: str) -> Path:
-    """Return the path of the hub's socket for ``local:NAME``."""
+    """Return the path of the socket on which a simulator's hub serves ``local:NAME``."""
     return run_dir() / f"{name}.bus"
 
 
@@ -167,17 +175,17 @@ def faults_path(spec: str) -> Path:
 
 
 def truth_path(spec: str) -> Path:
-    """Return the default path of the truth file of the simulator of a bus."""
+    """Return the default path of the truth file, into which the simulator of a bus writes its true state."""
     return run_dir() / f"{_file_name(spec)}.truth"
 
 
 def clock_path(spec: str) -> Path:
-    """Return the path of the file with the clock that the simulator of a bus shares with its controller."""
+    """Return the path of the clock file, through which the simulator of a bus shares its clock with the controller."""
     return run_dir() / f"{_file_name(spec)}.clock"
 
 
 def is_served(path: Path) -> bool:
-    """Return True if a process takes datagrams at the path of a socket.
+    """Return True if a process receives datagrams at the path of a socket.
 
     A socket left from a killed process does not count.
     """

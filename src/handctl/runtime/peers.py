@@ -1,8 +1,8 @@
-"""Check of the user at the other end of a Unix socket. Only this user and root are trusted.
+"""Check of the user at the other end of a Unix socket. Only the user of this process and root are trusted.
 
-The folder of the sockets already excludes other users (``paths``). This check is a second
-protection. On Linux the kernel reports the user of a sender. On other systems every sender counts
-as this user.
+The folder of the sockets already excludes other users (see ``paths``). This check is a second
+protection. On Linux the kernel reports the user of a sender. On other systems every sender is
+trusted.
 """
 
 import os
@@ -14,13 +14,13 @@ CREDENTIALS = struct.Struct("3i")
 """``struct ucred`` of Linux: process, user, group. Source: man 7 unix."""
 IS_LINUX = sys.platform.startswith("linux")
 CONTROL_BUFFER_BYTES = socket.CMSG_SPACE(CREDENTIALS.size)
-"""Buffer for one control message with credentials [bytes]."""
+"""Size of a buffer for one control message with credentials [bytes]."""
 SO_PASSCRED, SCM_CREDENTIALS, SO_PEERCRED = (getattr(socket, name, 0) for name in
                                              ("SO_PASSCRED", "SCM_CREDENTIALS", "SO_PEERCRED"))  # fmt: skip
 
 
 def name_senders(link: socket.socket) -> None:
-    """Make the kernel add the sender's user to every datagram.
+    """Make the kernel add the user of the sender to every datagram that a socket receives.
 
     Call this before the socket is bound.
     """

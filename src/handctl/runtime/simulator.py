@@ -11,16 +11,16 @@ from handctl.runtime.buses.open import check_spec
 from handctl.runtime.paths import faults_path, is_served, run_dir
 
 ANSWER_TIMEOUT_S = 5.0
-"""Longest wait for an answer [s]."""
+"""Longest wait for the answer of a simulator [s]."""
 MAX_ANSWER = 1 << 18
-"""Longest answer [bytes]."""
+"""Longest answer of a simulator [bytes]."""
 
 
 def find_simulator(bus: str | None) -> Path:
-    """Return the fault socket of the simulator on a bus, or of the only running simulator.
+    """Return the path of the socket that takes requests to the simulator on a bus, or to the only running simulator.
 
     Raises:
-        BusError: no bus is named, and not exactly one simulator runs.
+        BusError: ``bus`` is None, and no simulator or more than one is running.
         ConfigError: ``bus`` is not a valid bus specification.
     """
     if bus is not None:
@@ -34,7 +34,7 @@ def find_simulator(bus: str | None) -> Path:
 
 
 def simulated_time_scale(bus: str) -> float | None:
-    """Return the time scale of the simulator on a bus, or None if no simulator of this machine serves it.
+    """Return the time scale of the simulator on a bus, or None if no simulator on this machine serves the bus.
 
     Raises:
         BusError: the simulator does not answer.
@@ -52,11 +52,12 @@ def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
 
     Raises:
         BusError: no simulator answers.
-        ConfigError: the simulator refuses the request, for instance an unknown fault.
+        ConfigError: the simulator refuses the request, for instance because it does not know the
+            fault.
     """
     reply_path = run_dir() / f"asking-{os.getpid()}"
     reply_path.unlink(missing_ok=True)
-    where = f"bus {path.stem.replace('_', ':', 1)}"  # local_demo.faults belongs to local:demo
+    where = f"bus {path.stem.replace('_', ':', 1)}"  # the socket local_demo.faults belongs to the bus local:demo
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
         try:
             asking.bind(str(reply_path))

@@ -6,10 +6,10 @@ from handctl.core.types import TickIn, TickOut
 
 
 def status_of_tick(entry: TickIn, out: TickOut) -> dict[str, Any]:
-    """Return the status of a tick as plain values, with None for NaN.
+    """Return the content of the status line of a tick as plain values, with None for NaN.
 
     Args:
-        entry: input of the tick.
+        entry: inputs of the tick.
         out: output of the tick.
     """
     numbers = out.telemetry

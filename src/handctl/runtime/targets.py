@@ -1,10 +1,11 @@
-"""The target socket of a running controller: streamed targets as binary datagrams, read without blocking.
+"""The target socket of a running controller. Clients stream targets to it as binary datagrams.
 
-Targets and requests have separate sockets. A client that sends targets too fast therefore cannot
-delay a stop request of another client.
+The controller reads the socket without blocking. Requests have another socket. A client that sends
+targets too fast therefore cannot delay the stop request of another client.
 
-Datagram, little-endian: magic 4 bytes, process of the client u32, number of the stream u32, number
-of values u32, number of the target i64, CLOCK_MONOTONIC at the sending i64 [ns], values float64.
+A datagram is little-endian: magic 4 bytes, process number of the client u32, number of the stream
+u32, number of values u32, number of the target i64, CLOCK_MONOTONIC when the client sent the target
+i64 [ns], values float64.
 """
 
 import socket
@@ -21,26 +22,29 @@ from handctl.runtime.paths import targets_path
 from handctl.runtime.peers import name_senders, receive_datagram
 
 MAGIC = b"HCT1"
-"""First bytes of a target datagram. The bytes include the version of the format."""
+"""First bytes of every target datagram. They include the version of the format."""
 HEADER = struct.Struct("<4sIIIqq")
 MAX_DATAGRAM_BYTES = HEADER.size + 8 * MAX_TARGET_VALUES
 """Longest datagram of a target [bytes]."""
 READ_PER_TICK = 64
-"""Largest number of datagrams read per tick. A client that sends ten times too fast sends fewer than this."""
-MAX_TARGETS_PER_TICK = 4
-"""Largest number of targets passed to a tick.
+"""Largest number of datagrams read per tick.
 
-The newest targets are passed. The numbers of the targets show which are missing.
+Even a client that sends ten targets per tick stays below this.
+"""
+MAX_TARGETS_PER_TICK = 4
+"""Largest number of targets for a tick.
+
+These are the newest targets. The numbers of the targets show if targets are missing.
 """
 
 
 def stream_name(process: int, number: int) -> str:
-    """Return the name of a stream."""
+    """Return the name of a stream of targets: the client's process number and the number of the stream."""
     return f"{process}-{number}"
 
 
 class TargetBox:
-    """Receiver of streamed targets, owned by the controller.
+    """Receiver of the targets that clients stream, owned by the controller.
 
     Attributes:
         path: path of the socket.
@@ -48,11 +52,11 @@ class TargetBox:
     """
 
     def __init__(self, name: str, run_time: Callable[[int], int]) -> None:
-        """Bind the target socket of controller ``name``. The controller holds the lock of the bus.
+        """Bind the target socket of the controller of bus ``name``. The controller must hold the lock of the bus.
 
         Args:
             name: bus of the controller.
-            run_time: function from CLOCK_MONOTONIC to the run's time [ns].
+            run_time: function from a CLOCK_MONOTONIC time [ns] to the run's time [ns].
 
         Raises:
             BusError: the socket cannot be created.
@@ -85,7 +89,7 @@ class TargetBox:
         return tuple(texts[-MAX_TARGETS_PER_TICK:])
 
     def _decode(self, data: bytes) -> str:
-        """Return a datagram as a request, empty for a malformed datagram."""
+        """Return the text of the request in a datagram, empty if the datagram is malformed."""
         if len(data) < HEADER.size:
             return ""
         magic, process, number, count, index, sent_ns = HEADER.unpack_from(data)
@@ -104,10 +108,10 @@ class TargetSender:
     """Sender of one stream of targets, in a client."""
 
     def __init__(self, name: str, process: int, number: int) -> None:
-        """Connect to the controller ``name``.
+        """Connect to the target socket of the controller of bus ``name``.
 
         Raises:
-            BusError: no controller receives targets on this bus.
+            BusError: no controller receives targets for this bus.
         """
         self._head = process, number
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -119,15 +123,15 @@ class TargetSender:
         self._socket.setblocking(False)
 
     def send(self, index: int, sent_ns: int, values: NDArray[np.float64]) -> bool:
-        """Send a target. Returns False if the socket is full of targets not read by the controller.
+        """Send a target. Returns False if the socket is full of targets that the controller has not read.
 
         Args:
-            index: number of the target.
-            sent_ns: CLOCK_MONOTONIC at the sending [ns].
+            index: number of the target in the stream.
+            sent_ns: CLOCK_MONOTONIC when the target is sent [ns].
             values: (V,) values of the target.
 
         Raises:
-            OSError: the controller has ended.
+            OSError: the controller no longer receives targets, because its run has ended.
         """
         process, number = self._head
         data = HEADER.pack(MAGIC, process, number, len(values), index, sent_ns) + values.astype("<f8").tobytes()

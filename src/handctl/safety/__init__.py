@@ -1,1 +1,1 @@
-"""Fault declarations, reactions, thresholds, and the choice of a reaction to the present faults."""
+"""Declarations of faults, reactions, thresholds, and the choice of a reaction to the present faults."""

@@ -1,4 +1,7 @@
-"""Reactions to faults, in order of severity. The most severe reaction that a fault demands is executed."""
+"""Reactions to faults, in order of severity.
+
+If faults demand several reactions, the most severe one is executed.
+"""
 
 import enum
 
@@ -11,19 +14,22 @@ class Action(enum.IntEnum):
     WARN = 1
     """Continue, and log a warning."""
     HOLD = 2
-    """Keep the goals constant and limit the tension to the present value, until the fault has ended."""
+    """Keep the goals constant, and limit each tension to its present value, until the fault has ended."""
     RELAX = 3
     """Lower every tension to the floor, disable the drives, and stay silent until an operator clears the fault."""
     CUT = 4
-    """Remove the torque at once, for faults in which commands may not reach the drives."""
+    """Remove the torque at once, for faults after which commands possibly do not reach the drives."""
 
 
 class RelaxMethod(enum.Enum):
-    """Method of removing the torque in RELAX. No method raises a commanded torque (``controller.relaxing``)."""
+    """Method by which RELAX removes the torque.
+
+    No method raises a commanded torque (``controller.relaxing``).
+    """
 
     LOOP = "RELAX"
-    """Use the tension loop, limited by an envelope that falls by 500 N/s."""
+    """Use the tension loop, limited by an envelope of the motor force that falls by 500 N/s."""
     FAST_LOOP = "RELAX fast"
     """Use the tension loop, limited by an envelope that falls by 2,000 N/s, for an overloaded tendon."""
     OPEN_LOOP = "RELAX open loop"
-    """Command the envelope directly, without feedback, for faults that make the tension loop unreliable."""
+    """Command the envelope itself, without feedback, for faults that make the tension loop unreliable."""

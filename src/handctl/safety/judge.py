@@ -19,7 +19,7 @@ from handctl.safety.faults.table import BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS
 from handctl.safety.limits import Limits
 
 Report = tuple[str, str, float]
-"""Report of an event of a bus or the host: kind, location, and number."""
+"""Report of an event of a bus, of the host or of the recorder: kind, location, and number."""
 
 
 class Latched(NamedTuple):
@@ -30,7 +30,7 @@ class Latched(NamedTuple):
 
 
 class Counting(NamedTuple):
-    """Reported fault that is active, with the number of consecutive ticks."""
+    """Fault that is reported in this tick, with the number of consecutive ticks with such a report."""
 
     id: str
     instance: str
@@ -52,7 +52,7 @@ class Verdict(NamedTuple):
         action: most severe reaction that a fault demands.
         findings: faults that became active in this tick.
         latched: faults latched after the tick.
-        reported_faults: reported faults that are active in this tick.
+        reported_faults: faults that are reported in this tick.
     """
 
     action: Action
@@ -76,9 +76,9 @@ def judge_tick(
     Args:
         latched: latched faults of the last tick.
         reported_faults: reported faults of the last tick.
-        detected: faults from the detectors that count since this tick, from
+        detected: faults from the detectors that became active in this tick, from
             ``faults_counting_since_now``.
-        demanded: most severe reaction to all detected faults that count.
+        demanded: most severe reaction to all active faults from the detectors.
         reports: reports from buses, host and recorder in the tick, for ``locate_reports``.
     """
     action = demanded
@@ -93,7 +93,7 @@ def judge_tick(
             action = max(action, fault.action)
         if ticks == fault.debounce:
             findings.append(Finding(fault, where, value))
-    # A latched fault may be found again. It is not logged again.
+    # A latched fault may be found again, but it is not logged again.
     new = [finding for finding in findings if _latch_of(finding) not in latched]
     latched += tuple(dict.fromkeys(_latch_of(finding) for finding in new if finding.fault.latched))
     action = max([action, *(BY_ID[mark.id].action for mark in latched)])
@@ -107,15 +107,15 @@ def _latch_of(finding: Finding) -> Latched:
 
 
 def faults_counting_since_now(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
-    """Return the faults that count since this tick, in the order of the fault table.
+    """Return the faults that became active in this tick, in the order of the fault table.
 
     Args:
         limits: limits of the hand, with the names of tendons, motors, joints and nodes.
         evidence: (rows, instances) evidence of each fault, NaN where the fault is absent.
         ticks: (rows, instances) consecutive ticks with each fault.
     """
-    # The compiled detectors continue to count after the debounce, so the counts are equal in one
-    # tick only.
+    # The compiled detectors continue to count after the debounce, so the count equals the debounce
+    # in one tick only.
     rows, instances = np.nonzero((ticks[: len(DEBOUNCE)] == DEBOUNCE[:, None]) & ~np.isnan(evidence))
     findings = []
     for row, i in zip(rows.tolist(), instances.tolist(), strict=True):
@@ -145,7 +145,7 @@ def locate_reports(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
     return sorted(faults.values(), key=lambda row: _ORDER[row[0].id])
 
 
-# Position of each fault in the fault table. Simultaneous faults are sorted by it.
+# Position of each fault in the fault table. Simultaneous faults are sorted by this position.
 _ORDER = {id_: position for position, id_ in enumerate(BY_ID)}
 
 
@@ -154,7 +154,8 @@ def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
 
     Args:
         reports: reports of the tick.
-        heard: True if any node has ever answered, or if torque may act. B18 cannot occur then.
+        heard: True if any node has ever answered, or if torque may act. The fault B18 cannot occur
+            then.
     """
     kept, error = [], None
     for one in reports:
@@ -166,5 +167,5 @@ def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
 
 
 def second_controller_reports(signs: Iterable[str]) -> list[Report]:
-    """Return a report of H13 for each sign of a second controller on the bus."""
+    """Return a report of the fault H13 for each sign of a second controller on the bus."""
     return [(FOREIGN, sign, 1.0) for sign in signs]

@@ -1,10 +1,10 @@
-"""Safety thresholds of a hand, from drives, sensors, and model."""
+"""Safety thresholds of a hand, which follow from its drives, its sensors, and its model."""
 
 import math
 from dataclasses import dataclass
 
 LOAD_CELLS = "load cells"
-"""Name of the sensor node among the nodes."""
+"""Name of the sensor node in lists of nodes."""
 
 SILENT_S = 0.030
 STALLED_S = 0.025
@@ -14,9 +14,12 @@ Both are below the drives' watchdog time of 50 ms.
 """
 MIN_SILENT_TICKS = 4
 MIN_STALLED_TICKS = 3
-"""Smallest number of ticks to which ``SILENT_S`` and ``STALLED_S`` are converted, at slow control rates."""
+"""Smallest number of ticks to which ``SILENT_S`` and ``STALLED_S`` are converted.
+
+It applies at slow control rates.
+"""
 MIN_FRAMES_LIMIT = 64
-"""Smallest threshold for a flooded bus [frames per tick], above the number of frames of a small hand."""
+"""Smallest threshold for a flooded bus [frames per tick]. A small hand sends fewer frames."""
 TEMPERATURE_SOFT_DEGC = 70.0
 TEMPERATURE_HARD_DEGC = 85.0
 """Drive temperatures at which the tension limit begins to fall, and at which it reaches the floor [degC]."""
@@ -24,7 +27,7 @@ TEMPERATURE_HARD_DEGC = 85.0
 
 def ticks_for(seconds: float, period: float, minimum: int) -> int:
     """Return the number of ticks for a time [s] at a period [s], rounded up, and at least ``minimum``."""
-    # Rounded up: a limit must never be shorter than stated.
+    # The number is rounded up, because a limit must never be shorter than stated.
     return max(minimum, math.ceil(seconds / period))
 
 

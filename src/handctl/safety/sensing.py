@@ -4,18 +4,18 @@ from handctl.hand.description import Hand
 from handctl.hand.file.error_text import shortened_list
 
 NEED_LOAD_CELL = ("N02", "N14b", "N16", "T03b", "T04a", "T04b", "T05", "T05b", "T06", "T09")
-"""Faults not detected for a tendon without load cell.
+"""Faults that are not detected for a tendon without load cell.
 
 These faults compare a load cell with the motor, or concern the load cell itself. Without a load
-cell T01, T02, T03, T08 and N06 use the estimated tension. Their limits are then stricter by two
-standard deviations of the estimate.
+cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. Their limits are then
+stricter by two standard deviations of the estimate.
 """
 NEED_ENCODERS = ("N06a", "N06b", "T08")
-"""Faults not detected for a tendon whose joints have no encoders."""
+"""Faults that are not detected for a tendon whose joints have no encoders."""
 
 
 def sensing_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return one line per missing kind of sensor, with the faults that cannot be detected."""
+    """Return one line per missing kind of sensor, with the faults that cannot be detected without this sensor."""
     lines = []
     tendons = hand.tendon_names
     if bare := [name for name, has in zip(tendons, hand.has_cell.tolist(), strict=True) if not has]:

@@ -1,4 +1,4 @@
-"""Runs of a hand, from checked files to log and verdict.
+"""Runs of a hand: from the check of its files, through the run, to the log and the verdict.
 
-This code is common to all verbs and studies.
+All commands and studies that run a hand share this code.
 """

@@ -1,4 +1,4 @@
-"""Bus specifications from the command line, for verbs without a hand file."""
+"""Bus specifications from the command line, for commands that need no hand file."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,10 @@ from handctl.session.defaults import DEFAULT_HAND
 
 
 def named_buses(arguments: Sequence[str]) -> dict[str, str]:
-    """Return the specification of each bus by name, from command-line words without a hand file.
+    """Return the specification of each bus by name, from the words after ``--bus``, without a hand file.
 
-    A word is NAME=SPEC, or SPEC alone. Words without a name get the names main, bus1, bus2 by
-    position.
+    A word is NAME=SPEC, or SPEC alone. Buses without a name are named by position: main, bus1,
+    bus2.
 
     Raises:
         ConfigError: a name is given twice or is not a valid bus name.
@@ -30,13 +30,13 @@ def named_buses(arguments: Sequence[str]) -> dict[str, str]:
 
 
 def refuse_default_hand(specs: Sequence[str], where: str) -> None:
-    """Raise an error if no hand is named for a bus that may have real motors.
+    """Raise an error if a bus may have real motors. For such a bus, the operator must name the hand.
 
-    The limits of the default hand are for other motors and tendons.
+    The limits of the default hand are made for other motors and tendons.
 
     Args:
         specs: specifications of the buses.
-        where: name of the missing argument, for the message.
+        where: name of the argument that is missing, for the message.
 
     Raises:
         ConfigError: a bus may have real motors.

@@ -1,4 +1,7 @@
-"""Calibration for a run, read from a file or measured by commissioning the hand before the run."""
+"""Calibration of a hand for a run.
+
+It is read from a file, or measured before the run (commissioning).
+"""
 
 import datetime
 import time
@@ -18,14 +21,17 @@ from handctl.session.plan import Plan
 from handctl.session.run import Outcome, Runner, make_controller
 
 MAX_UNANNOUNCED_AGE_S = 24 * 3600.0
-"""Largest age of a calibration for arming [s], because load cells drift and tendons creep."""
+"""Largest age of a calibration with which a hand may be armed [s].
+
+Load cells drift, and tendons creep.
+"""
 VIRTUAL_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
 IdentifiedByTendon = dict[str, Identified]
-"""Identified parameters by tendon."""
+"""Identified parameters of each tendon, by its name."""
 
 
 def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration | None, str]:
-    """Return the calibration from the hand's calibration file if it is valid for arming.
+    """Return the calibration in a file, if the hand may be armed with this calibration.
 
     Args:
         path: calibration file, which may not exist yet.
@@ -62,12 +68,13 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
 
     Raises:
         PowerError: a drive did not confirm that it is disabled.
-        DriveError: a tendon, sensor or drive did not pass. See ``Outcome.refuse_unfinished``.
+        DriveError: a tendon, sensor or drive did not pass the commissioning. See
+            ``Outcome.refuse_unfinished``.
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)
     outcome.refuse_unfinished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
-    virtual = outcome.priority is None  # lockstep uses a fixed date, so that two runs are equal
+    virtual = outcome.priority is None  # a fixed date makes two lockstep runs equal
     now = VIRTUAL_DATE if virtual else datetime.datetime.now(datetime.UTC)
     calibration = calibration_of_result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds"))
     drive_states = zip(controller.drives, outcome.state.drives, strict=True)
@@ -91,13 +98,13 @@ def previous_identified(
 ) -> IdentifiedByTendon:
     """Return the identified parameters of the previous calibration, by tendon.
 
-    A new tare does not change identified parameters. The result is empty if the file is missing or
-    unusable, or if the drives have been replaced.
+    They stay valid when the load cells are tared again. The result is empty if the file is missing
+    or cannot be used, or if other drives were installed since.
 
     Args:
         path: file of the previous calibration.
         hand: description of the hand.
-        drives: identities of the present drives by motor, or empty if unknown.
+        drives: identities of the present drives by motor, empty if they are not known.
         tell: function that shows a notice to the operator.
     """
     try:
@@ -114,10 +121,12 @@ def previous_identified(
 
 
 def identified_in(path: Path | None, hand: Hand) -> IdentifiedByTendon:
-    """Return the identified parameters in a calibration file by tendon, empty without a file.
+    """Return the identified parameters in a calibration file, by tendon.
 
-    Tares and zeros of a simulated hand are valid for only one seed and one start. Identified
-    parameters are valid for all seeds and starts.
+    If no file is given, the result is empty.
+
+    For simulated runs, only these parameters of the file are used. Tares and zeros of a simulated
+    hand are valid for one seed and one start, but identified parameters for all.
 
     Raises:
         ConfigError: the file cannot be read, is for another hand, or holds no identified parameters.
@@ -131,7 +140,7 @@ def identified_in(path: Path | None, hand: Hand) -> IdentifiedByTendon:
 
 
 def homed_calibration(hand: Hand, identified: IdentifiedByTendon) -> Calibration:
-    """Return the calibration for a simulated hand that starts taut with its encoders at zero [N, rad]."""
+    """Return the calibration of a simulated hand that starts with taut tendons and its encoders at zero."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
     made = VIRTUAL_DATE.isoformat(timespec="seconds")
@@ -139,14 +148,16 @@ def homed_calibration(hand: Hand, identified: IdentifiedByTendon) -> Calibration
 
 
 def ensure_calibration(plan: Plan, path: Path, reason: str, runner: Runner, log: Path) -> Calibration:
-    """Commission a hand without valid calibration, notify the operator, and write the new calibration.
+    """Commission a hand that has no valid calibration, and write the new calibration to a file.
+
+    A notice tells the operator why the hand is commissioned.
 
     Args:
         plan: plan of the run that follows.
-        path: calibration file to write.
-        reason: reason why no calibration is valid.
+        path: calibration file to write. Its identified parameters are kept.
+        reason: reason why there is no valid calibration, for the notice.
         runner: function that executes the run, live or in lockstep.
-        log: log file to write.
+        log: log file of the commissioning, which is written.
 
     Raises:
         DriveError: see ``commission``.

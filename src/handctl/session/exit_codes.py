@@ -1,10 +1,10 @@
-"""Exit codes of every verb. docs/reference/exit-codes.md is generated from them."""
+"""Exit codes of all commands. docs/reference/exit-codes.md is generated from their docstrings."""
 
 from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """Exit code of a verb."""
+    """Exit code of a command."""
 
     DONE = 0
     FAILED = 1

@@ -1,6 +1,7 @@
-"""Gains of a run and their origins.
+"""Gains of a run, and the origin of each value.
 
-A gains file replaces the packaged gains of the hand. The command line overrides single values of either.
+A gains file replaces the packaged gains of the hand. The command line overrides single values of
+the file or of the packaged gains.
 """
 
 from collections.abc import Sequence
@@ -22,9 +23,9 @@ class LayeredGains:
     """Gains with the origin of each value.
 
     Attributes:
-        gains: gains that a run uses.
+        gains: gains that the run uses.
         file: gains file, or None for the packaged gains.
-        provenance: provenance recorded in the file.
+        provenance: provenance of the gains, as recorded in the file.
         origins: origin of each value by key: "packaged", the file, or "command line".
     """
 
@@ -37,12 +38,12 @@ class LayeredGains:
 def layered_gains(
     hand: Hand, file: Path | None, words: Sequence[str], tell: NoticeCallback = ignore_notice
 ) -> LayeredGains:
-    """Return the gains that a run uses, with the origin of each.
+    """Return the gains that a run uses, with the origin of each value.
 
     Args:
         hand: description of the hand.
         file: gains file, or None for ``HAND.gains.toml`` if that file exists.
-        words: KEY=VALUE words, which override every file.
+        words: KEY=VALUE words of the command line, which override every file.
         tell: function that shows a notice to the operator.
 
     Raises:
@@ -61,7 +62,8 @@ def layered_gains(
 def gains_for(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
     """Read a gains file, and check that the gains are for this hand.
 
-    Gains for an earlier description of this hand are accepted with a notice to the operator.
+    If the gains were made for an earlier version of the hand file, they are accepted, with a notice
+    to the operator.
 
     Raises:
         ConfigError: the file cannot be used, or is for another hand.
@@ -77,7 +79,7 @@ def gains_for(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> G
 
 
 def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
-    """Return the origin of a gain before the command line is applied."""
+    """Return the origin of a gain, without regard to the command line."""
     section, _, name = key.partition(".")
     in_file = tendon_key(key) is not None or (
         section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
@@ -86,7 +88,7 @@ def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
 
 
 def assignments(words: Sequence[str], where: str) -> dict[str, float]:
-    """Return the numbers assigned by KEY=VALUE words, by key.
+    """Return the numbers that KEY=VALUE words assign, by key.
 
     Raises:
         ConfigError: a word does not assign a number, or a key is assigned twice.

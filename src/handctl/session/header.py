@@ -1,4 +1,4 @@
-"""Header for the log of a run: hand, gains, machine, and the command that repeats the run."""
+"""Header of the log of a run: hand, gains, software, machine, and settings of the run."""
 
 import functools
 import platform
@@ -15,14 +15,14 @@ from handctl.runtime.clocks.priority import Priority
 from handctl.session.plan import Plan
 
 VIRTUAL_START_S = 0.0
-"""UNIX time at which every lockstep run starts [s].
+"""UNIX time that the log gives as the start of every lockstep run [s].
 
-The time is constant, so that logs of equal runs are equal.
+With a constant time, equal runs have equal logs.
 """
 
 
 def run_header(plan: Plan, controller: Controller, priority: Priority | None, lockstep: bool) -> RunHeader:
-    """Return the log header with all data available before the first tick."""
+    """Return the header of the log, with all data that are available before the first tick."""
     hand = plan.hand
     attachments = {
         "hand.toml": hand.to_toml().encode(),
@@ -66,15 +66,15 @@ def run_header(plan: Plan, controller: Controller, priority: Priority | None, lo
 
 @functools.cache
 def installed_packages() -> tuple[str, ...]:
-    """Return NAME==VERSION of every installed package, in order."""
+    """Return NAME==VERSION of every installed Python package, in alphabetical order."""
     return tuple(sorted({_name_and_version(dist) for dist in distributions()}))
 
 
 def _name_and_version(dist: Distribution) -> str:
-    """Return NAME==VERSION of a package.
+    """Return NAME==VERSION of an installed Python package.
 
-    Only the two lines with name and version are read. ``importlib.metadata`` parses the whole
-    metadata of a package as an e-mail, which takes ten times as long.
+    Only the two lines with name and version are read. The parser of ``importlib.metadata`` reads
+    all metadata of a package and takes ten times as long.
     """
     lines = (dist.read_text("METADATA") or dist.read_text("PKG-INFO") or "").splitlines()
     values = [next((line[len(key) :] for line in lines if line.startswith(key)), "") for key in ("Name: ", "Version: ")]

@@ -1,4 +1,7 @@
-"""Reading of robot descriptions (URDF and MJCF) with MuJoCo, which is a dependency of the simulator."""
+"""Reading of robot descriptions (URDF and MJCF) with MuJoCo.
+
+MuJoCo is a dependency of the simulator only.
+"""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -8,18 +11,22 @@ from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import load_entry
 
 MODEL_FILE_READER = "firmware_sim.model_file:read_model_file"
-"""Entry point of the function that reads a description. Its docstring describes the result."""
+"""Module and name of the function that reads a description.
+
+The docstring of this function describes the result.
+"""
 
 
 def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
-    """Read the tree of links of a hand as plain values.
+    """Read the tree of links of a hand from a robot description, as plain values.
 
     Args:
-        path: path of the description.
+        path: path of the robot description.
         kind: ``urdf`` or ``mjcf``.
 
     Raises:
-        ConfigError: the file is unreadable, describes no tree of hinges with inertia, or MuJoCo is missing.
+        ConfigError: the file is unreadable, it does not describe a tree of hinges and links with
+            inertia, or MuJoCo is not installed.
     """
     read: Callable[[str, str], Mapping[str, Any]] = load_entry(MODEL_FILE_READER, "reading a robot description")
     try:

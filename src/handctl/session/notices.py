@@ -1,24 +1,24 @@
 """Notices and progress reports from a run to the operator.
 
-The caller of the run supplies the functions.
+The caller of the run supplies the functions that show them.
 """
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
 NoticeCallback = Callable[[str], None]
-"""Callback for a notice of one line."""
+"""Function that shows a notice of one line to the operator."""
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Context manager that shows the progress of a named step.
+"""Function that returns a context manager, which shows the progress of a named step.
 
-The context yields a callback for completed and total count.
+The context yields a function that takes the completed count and the total count.
 """
 
 
 def ignore_notice(text: str) -> None:
-    """Ignore a notice."""
+    """Ignore a notice to the operator."""
 
 
 def ignore_progress(words: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    """Ignore progress reports."""
+    """Ignore all progress reports of a step."""
     return nullcontext(lambda done, total: None)

@@ -1,4 +1,4 @@
-"""Time scale at which this machine is fast enough for a simulated hand."""
+"""Advice about the time scale at which this machine is fast enough for a simulated hand."""
 
 import math
 from contextlib import suppress
@@ -10,13 +10,16 @@ from handctl.session.plan import Plan
 from handctl.session.run import Outcome
 
 MAX_CORE_LOAD = 0.7
-"""Largest load of a core at which the machine is fast enough, as a fraction."""
+"""Largest load of a processor core, as a fraction, at which the machine counts as fast enough."""
 FAILED_SCALE_FRACTION = 0.7
-"""Largest advised time scale, as a fraction of the time scale that failed."""
+"""Largest time scale that is advised, as a fraction of the time scale that was too fast."""
 
 
 def pace_advice(plan: Plan, outcome: Outcome) -> str:
-    """Return advice for a simulated run that failed because ticks or answers were late, or an empty text."""
+    """Return advice for a simulated run that failed because ticks or answers were late.
+
+    For any other run, the text is empty.
+    """
     if not (plan.simulated and outcome.late):
         return ""
     scale = slower_time_scale(plan, outcome)
@@ -24,10 +27,10 @@ def pace_advice(plan: Plan, outcome: Outcome) -> str:
 
 
 def slower_time_scale(plan: Plan, outcome: Outcome) -> float:
-    """Return a time scale at which this machine is fast enough, from the computing times of a late run.
+    """Return a time scale at which this machine is fast enough, given the computing times of a late run.
 
-    Simulator and controller use one core each, or share the only core. The simulator reports its
-    own measurement.
+    Simulator and controller use one core each, or share the core of a machine with a single core.
+    The simulator reports its own computing time.
 
     Args:
         plan: plan of the run.

@@ -1,4 +1,4 @@
-"""Plan of a run: all settings, checked before a bus is opened."""
+"""Plan of a run: all settings. They are checked before a bus is opened."""
 
 import math
 import os
@@ -24,17 +24,17 @@ from handctl.session.gains import layered_gains
 from handctl.session.notices import NoticeCallback, Progress, ignore_notice, ignore_progress
 
 TICKS_IN_WATCHDOG = 2
-"""Smallest number of ticks per watchdog time of a drive.
+"""Smallest number of ticks within the watchdog time of a drive.
 
-One lost frame must not disable a drive.
+With two ticks, one lost frame does not disable a drive.
 """
 
 
 class Display(Protocol):
-    """Display of a running hand for the operator."""
+    """Display that shows the operator the state of a running hand."""
 
     def show(self, entry: TickIn, out: TickOut) -> None:
-        """Show the state after a tick."""
+        """Show the state of the hand after a tick."""
         ...
 
     def close(self) -> None:
@@ -44,20 +44,20 @@ class Display(Protocol):
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of a run: all settings, checked before a bus is opened.
+    """Plan of a run: all settings, already checked.
 
     Attributes:
         hand: description of the hand.
-        gains: weights and noise assumptions.
+        gains: gains of the controller.
         rate_hz: control rate [Hz].
-        load: worst-case load of each bus as a fraction, in the order of the hand's buses.
+        load: worst-case load of each bus of the hand, as a fraction.
         buses: specification of each bus, empty in lockstep.
         attachments: files to store in the log.
-        time_scale: run time divided by wall time.
+        time_scale: time of the run divided by wall time.
         clear: True if the operator requested to clear the latched errors of the drives.
         display: function that starts the display of a run, or None for no display.
         tell: function that shows a notice to the operator.
-        progress: function that shows the progress of a preparation.
+        progress: function that shows the progress of a step before the run.
     """
 
     hand: Hand
@@ -89,18 +89,18 @@ class Plan:
 
 @dataclass(frozen=True)
 class Choice:
-    """Choices of the operator for a run, not yet checked.
+    """Settings that the operator chose for a run, not yet checked.
 
     Attributes:
         hand: name of a packaged hand, or path of a hand file.
         hand_named: True if the operator named the hand.
-        bus: ``SPEC``, or one ``NAME=SPEC`` per bus, or None in lockstep.
+        bus: ``SPEC`` for a hand with one bus, ``NAME=SPEC`` for each bus, or None in lockstep.
         gains: gains file, or None for the gains of the hand.
-        gain: KEY=VALUE words, which override every file.
+        gain: KEY=VALUE words for single gains, which override every file.
         rate: control rate [Hz], or None for the highest usual rate.
-        time_scale: run time divided by wall time, or None for the time scale of the simulator on
-            the bus.
-        log: log file to write, or None.
+        time_scale: time of the run divided by wall time, or None for the time scale of the
+            simulator on the bus.
+        log: log file to write, or None if the command names it later.
         clear: True to clear the latched errors of the drives.
     """
 
@@ -126,7 +126,7 @@ def make_plan(
         tell: function that shows a notice to the operator.
 
     Raises:
-        ConfigError: a choice is wrong. The message has one line.
+        ConfigError: a choice of the operator is wrong. The message is one line.
     """
     hand = load_hand(choice.hand)
     check_ready(hand, str(choice.hand))
@@ -148,15 +148,15 @@ def make_plan(
 
 
 def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
-    """Return the time scale of a run: the chosen scale, else the scale of the simulator, else 1.
+    """Return the time scale of a run: the chosen one, else that of the simulator on the bus, else 1.
 
     Args:
         chosen: simulated seconds per second of wall time, or None.
         buses: specification of each bus, empty in lockstep.
 
     Raises:
-        ConfigError: the time scale is out of range, is not 1 on a real bus, or differs from the
-            simulator.
+        ConfigError: the chosen time scale is out of range, is not 1 for a real bus, or differs from
+            that of the simulator.
     """
     if chosen is not None and not 0.001 <= chosen <= 100:
         raise ConfigError(f"{chosen:g}", "--time-scale", "0.001 to 100")
@@ -165,31 +165,32 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
             right = "1, or a simulated bus: local:NAME, socketcan:vcan0"
             raise ConfigError(f"{chosen:g}, and {real[0]} may have real motors", "--time-scale", right)
         return 1.0
-    simulated = simulated_time_scale(buses[0]) if buses else None  # the first bus has the socket for requests
+    simulated = simulated_time_scale(buses[0]) if buses else None  # the simulator's request socket is on the first bus
     if chosen is not None and simulated not in (None, chosen):
         raise ConfigError(f"{chosen:g}", "--time-scale", f"{simulated:g}, as the simulator on {buses[0]} has")
     return next((one for one in (chosen, simulated) if one is not None), 1.0)
 
 
 def check_ready(hand: Hand, where: str) -> None:
-    """Raise an error for a hand whose file is valid but not ready to run. See ``reasons_not_ready``.
+    """Raise an error if a hand with a valid file must not run, see ``reasons_not_ready``.
 
     Args:
         hand: description of the hand to run.
         where: name or file of the hand, for the message.
 
     Raises:
-        ConfigError: the hand is not ready. The message has the first reason.
+        ConfigError: the hand must not run. The message has the first reason.
     """
     for mistake in reasons_not_ready(hand):
         raise mistake.error(where)
 
 
 def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
-    """Return the requested control rate [Hz], or the highest usual rate without a request.
+    """Return the requested control rate [Hz]. Without a request, return the highest usual rate for the buses.
 
     Raises:
-        ConfigError: the drives' watchdogs do not allow a lost tick at this rate, or a bus cannot carry the load.
+        ConfigError: at this rate, one lost tick would trigger the watchdog of a drive, or a bus
+            would be overloaded.
     """
     best = highest_rate_of_buses(loads)
     rate = best if requested is None else requested
@@ -205,7 +206,7 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
 
 
 def _check_log(log: Path | None) -> None:
-    """Raise an error if the log file cannot be created, before a bus is opened."""
+    """Raise an error if the log file of the run exists, has a wrong ending, or has no folder."""
     if log is not None and (log.suffix != ".mcap" or os.path.lexists(log) or not log.parent.is_dir()):
         raise ConfigError(str(log), "--log", "a new file ending in .mcap in a folder that exists")
 
@@ -216,12 +217,14 @@ def highest_rate_of_buses(loads: Sequence[BusLoad]) -> float:
 
 
 def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
-    """Raise an error for gains without a valid design, even if each gain is within its bounds.
+    """Raise an error if no controller or filter can be designed from the gains.
+
+    This can happen although each gain is within its bounds.
 
     Args:
         hand: description of the hand.
         gains: all gains of the run.
-        rate_hz: control rate [Hz]. The default is the rate of the hand.
+        rate_hz: control rate [Hz]. The default is the highest usual rate for the buses of the hand.
 
     Raises:
         ConfigError: the design of the controller or of the filter fails.
@@ -232,7 +235,7 @@ def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None
 
 
 def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the specification of each bus of a hand, from ``--bus``.
+    """Return the specification of each bus of a hand, as given with ``--bus``.
 
     Raises:
         ConfigError: a bus is missing, given twice, or unknown to the hand, or a specification is invalid.
@@ -244,7 +247,7 @@ def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
 
 
 def _specs_by_name(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the specification given for each bus name, in the order of the names."""
+    """Return the specification that the arguments give for each bus, in the order of the names."""
     if len(names) == 1 and len(arguments) == 1 and "=" not in arguments[0].partition(":")[0]:
         return (arguments[0],)
     specs: dict[str, str] = {}
@@ -260,10 +263,10 @@ def _specs_by_name(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[st
 
 
 def commission_log(log: Path) -> Path:
-    """Return a new log name for the commissioning before a run, next to the run's log.
+    """Return an unused path for the log of the commissioning before a run, next to the log of the run.
 
-    If a fault ends the run during commissioning, only the commissioning log exists. When the same
-    command is repeated, a new log is written next to the old log.
+    If a fault ends the commissioning, only this log exists. When the operator repeats the same
+    command, the new log gets another name.
     """
     number = 1
     path = log.with_suffix(".commission.mcap")
@@ -274,7 +277,7 @@ def commission_log(log: Path) -> Path:
 
 
 def default_log(hand: Hand, kind: str = "") -> Path:
-    """Return a unique path logs/DATE-HAND.mcap and create the folder."""
+    """Return an unused path logs/DATE-HAND.mcap for a log, and create the folder."""
     folder = Path("logs")
     folder.mkdir(exist_ok=True)
     stem = time.strftime("%Y%m%d-%H%M%S") + f"-{hand.name}" + (f"-{kind}" if kind else "")

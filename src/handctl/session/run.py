@@ -43,7 +43,7 @@ from handctl.session.header import run_header
 from handctl.session.plan import Display, Plan
 
 LATENESS_FAULTS = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
-"""Ids of faults that latch when answers or ticks are late."""
+"""Identifiers of the faults that latch when answers of drives or ticks of the controller are late."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class Outcome:
 
     Attributes:
         state: last state of the controller.
-        stats: statistics of the loop.
+        stats: statistics of the control loop.
         log: summary of the recorder.
-        priority: priority granted by the operating system, or None in lockstep.
-        offset_ns: time t = 0 of the run on the simulator's clock [ns].
-        pauses: number of pauses of a clock shared with the simulator.
-        paused_ns: sum of these pauses [ns of wall time].
+        priority: real-time priority that the operating system granted, or None in lockstep.
+        offset_ns: time on the simulator's clock when the time of the run was 0 [ns].
+        pauses: number of pauses of the clock, if the run and the simulator share a clock.
+        paused_ns: total duration of these pauses, in wall time [ns].
     """
 
     state: State
@@ -70,12 +70,12 @@ class Outcome:
 
     @property
     def late(self) -> bool:
-        """Return True if a fault latched because host or simulator was slower than real time."""
+        """Return True if a fault latched because the host or the simulator was too slow."""
         return any(mark.id in LATENESS_FAULTS for mark in self.state.latched)
 
     @property
     def exit(self) -> ExitCode:
-        """Return the exit code of a verb that consists only of this run."""
+        """Return the exit code of a command that does nothing except this run."""
         if self.state.unconfirmed:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
@@ -84,8 +84,8 @@ class Outcome:
         """Raise an error if the run did not finish.
 
         Args:
-            where: purpose of the run, for the message.
-            right: remedy for the message, empty if unknown.
+            where: text that names the purpose of the run, for the message.
+            right: remedy that the message suggests, empty if none is known.
 
         Raises:
             PowerError: a drive did not confirm that it is disabled.
@@ -98,13 +98,13 @@ class Outcome:
 
 
 Runner = Callable[["Plan", Controller, Path], Outcome]
-"""Function that executes a run: ``run_live``, or a function that runs in lockstep."""
+"""Function that executes a run: ``run_live``, or a function for a lockstep run."""
 
 
 def make_controller(plan: Plan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
-    """Design the gains, and construct the controller.
+    """Construct the controller of a run, and design it with the gains of the plan.
 
-    A progress bar is shown during a long compilation.
+    If the code must be compiled first, a progress bar is shown.
     """
     with plan.progress("compiling the controller, once") as report_progress:
         prepare(report_progress)
@@ -114,10 +114,10 @@ def make_controller(plan: Plan, program: Program, calibration: Calibration | Non
 
 
 class RunObserver(Protocol):
-    """Observer in the same process that watches a run and sends requests like an operator."""
+    """Object in the same process that watches a run and can send requests, as an operator does."""
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return the requests made since the last call."""
+        """Return the requests that the observer made since the last call."""
         ...
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
@@ -138,7 +138,7 @@ def run_live(
         plan: checked plan of the run.
         controller: controller with its program.
         log: log file to write.
-        live_view: True to show the growing log in Rerun, from a separate process.
+        live_view: True to show the log in Rerun during the run, from a separate process.
         observer: observer that sends requests, or None.
 
     Raises:
@@ -188,12 +188,13 @@ def run_lockstep(
     clock: LockstepClock,
     observer: RunObserver | None = None,
 ) -> Outcome:
-    """Execute a run in virtual time against the clock's simulator.
+    """Execute a run in virtual time with the simulated hand of a lockstep clock.
 
-    Further runs with the same clock are allowed. In virtual time no operator clears a fault.
+    Several runs may use the same clock, one after the other. No operator clears faults in virtual
+    time.
 
     Raises:
-        DriveError: a fault held the hand for too long.
+        DriveError: a fault made the hand hold still for too long.
     """
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
@@ -210,10 +211,13 @@ def run_lockstep(
 
 
 def _open_clock(plan: Plan, stack: ExitStack) -> RealClock:
-    """Return the clock of a run: the clock shared with the simulator of its bus, else CLOCK_MONOTONIC.
+    """Return the clock of a run.
+
+    If the simulator on the bus offers a shared clock, the run uses this clock, else
+    CLOCK_MONOTONIC.
 
     Raises:
-        BusError: the file of the shared clock is of another version.
+        BusError: the file of the shared clock cannot be read, or is of another version.
     """
     spec = plan.buses[0]
     if not is_served(faults_path(spec)):
@@ -229,7 +233,9 @@ def _open_clock(plan: Plan, stack: ExitStack) -> RealClock:
 
 
 def refuse_view_without_screen(view_requested: bool) -> None:
-    """Raise an error for ``--view`` in a session without a screen, before a bus is opened.
+    """Raise an error if ``--view`` is given in a desktop session without a screen.
+
+    Commands call this function before they open a bus.
 
     Raises:
         ConfigError: this session has no screen.
@@ -241,9 +247,10 @@ def refuse_view_without_screen(view_requested: bool) -> None:
 
 
 def _start_view(log: Path) -> Callable[[], None]:
-    """Start the live view.
+    """Start the live view of a log.
 
-    Returns a function that stops the process feeding the view. The viewer stays open.
+    The result is a function that stops the process which feeds the viewer. The viewer itself stays
+    open.
     """
     from handctl.view.live_view import start_live
 
@@ -252,7 +259,7 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 
 def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, State], None]:
-    """Return a function that records a snapshot of the state after a tick, once per second."""
+    """Return a function that is called after each tick, and records a snapshot of the state once per second."""
     due_ns = SNAPSHOT_PERIOD_NS
 
     def keep(entry: TickIn, state: State) -> None:
@@ -294,21 +301,21 @@ def _build_loop(
 
 
 def _axis_lengths(hand: Hand) -> dict[str, int]:
-    """Return the number of joints, tendons, motors and digits."""
+    """Return the number of joints, tendons, motors and digits of a hand."""
     return {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor), "digit": len(hand.digit)}
 
 
 def _describe_run(plan: Plan) -> dict[str, object]:
-    """Return the constants of a run for observing programs, by name."""
+    """Return the constants of a run by name, for programs that observe the run."""
     return {"hand_toml": plan.hand.to_toml(), "rate_Hz": plan.rate_hz, "time_scale": plan.time_scale}
 
 
 def _request_source(
     plan: Plan, signals: StopSignals, mailbox: Mailbox, targets: TargetBox
 ) -> Callable[[], tuple[str, ...]]:
-    """Return a function that collects the requests of a tick.
+    """Return a function that collects all requests for a tick.
 
-    A request from the command line is the first.
+    The first is the request of the command line to clear errors, if the plan has it.
     """
     orders = [CLEAR] if plan.clear else []
 
@@ -341,11 +348,11 @@ def _merge_observers(observer: RunObserver | None, others: TickCallback) -> Tick
 
 
 STATUS_RATE_HZ = 50.0
-"""Rate of the status lines for observing programs [Hz]."""
+"""Rate at which programs that observe a run get status lines [Hz]."""
 
 
 def _status_callback(display: Display | None, mailbox: Mailbox, rate_hz: float) -> TickCallback:
-    """Return a function that updates the display and observing programs after a tick."""
+    """Return a function that updates the display and the observing programs after each tick."""
     every = max(1, round(rate_hz / STATUS_RATE_HZ))
 
     def show(entry: TickIn, out: TickOut) -> None:
@@ -369,7 +376,7 @@ def _run_to_end(
     priority: Priority | None,
     offset_ns: Callable[[], int],
 ) -> Outcome:
-    """Run the loop, then close display and recorder, even after an error."""
+    """Run the control loop to its end. Then close display and recorder, even after an error."""
     reason = "controller error"
     try:
         state = loop.run(controller.initial())

@@ -1,8 +1,9 @@
-"""Lockstep simulation of a controller against the simulated hand.
+"""Lockstep simulation of a controller with the simulated hand.
 
-Every lockstep run is set up in this module.
+All lockstep runs are set up in this module.
 
-``simulate`` runs to the end, ``Simulation`` runs tick by tick, and ``Simulator.clock`` is for runs with a log.
+``simulate`` executes a whole run, ``Simulation`` executes single ticks, and ``Simulator.clock`` is
+for runs with a log.
 """
 
 import math
@@ -27,24 +28,24 @@ from handctl.programs.program import Program
 from handctl.runtime.clocks.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, Peer, load_peer
 
 CHECK_PERIOD_NS = 2_000_000
-"""Control period of a simulated hand constructed only to check its settings [ns]."""
+"""Control period of a simulated hand that is only constructed to check its settings [ns]."""
 
 
 class SimulatedHand(Peer, Protocol):
-    """Simulated hand on the other side of the bus, with fault injection.
+    """Simulated hand on the other side of the bus, into which faults can be injected.
 
     Attributes:
-        world: plant and nodes, for direct access without the bus.
+        world: simulated plant and nodes, for direct access without the bus.
     """
 
     world: Any
 
     def inject(self, text: str) -> None:
-        """Inject a fault."""
+        """Inject a fault, which is given as text."""
         ...
 
     def fault_states(self) -> list[dict[str, Any]]:
-        """Return every injected fault with the effect observed so far."""
+        """Return every injected fault, with the effects that were observed so far."""
         ...
 
     def truth(self) -> dict[str, list[float]]:
@@ -63,8 +64,9 @@ class Simulator:
         seed: random seed of noise, slack and encoder offsets.
         perturb: factors for the parameters of the simulated plant.
         homed: True if the hand starts taut with its encoders at zero.
-        truth: truth file to write, or None.
-        wire: KEY=VALUE words of a simulated wire with delays, or None for answers without delay.
+        truth: file to which the true values of the simulated hand are written, or None.
+        wire: KEY=VALUE words that describe a simulated wire with delays, or None for answers
+            without delay.
         serials: serial numbers of the drives.
     """
 
@@ -81,7 +83,7 @@ class Simulator:
     def peer(self, period_ns: int) -> Iterator[SimulatedHand]:
         """Construct the simulated hand.
 
-        At the end of the context, close the hand and its truth file.
+        At its end, the context closes the hand and its truth file.
 
         Args:
             period_ns: control period [ns].
@@ -114,7 +116,7 @@ class Simulator:
 
     @contextmanager
     def clock(self, period_ns: int) -> Iterator[LockstepClock]:
-        """Construct the simulated hand and its clock, for one run or several consecutive runs.
+        """Construct the simulated hand and its lockstep clock, for one or more consecutive runs.
 
         See ``peer``.
         """
@@ -123,7 +125,7 @@ class Simulator:
 
     @contextmanager
     def against(self, controller: Controller) -> Iterator["Simulation"]:
-        """Begin a run of a controller with the simulated hand. See ``peer``."""
+        """Begin a run of a controller with this simulated hand. See ``peer``."""
         with self.peer(round(1e9 * controller.model.period)) as peer:
             yield Simulation.of(controller, peer)
 
@@ -144,7 +146,7 @@ class Simulator:
 
 @dataclass
 class Simulation:
-    """Run of a controller against a simulated hand, tick by tick.
+    """Run of a controller with a simulated hand, which the caller advances tick by tick.
 
     Attributes:
         controller, peer: controller and simulated hand, the two sides of the bus.
@@ -180,10 +182,11 @@ class Simulation:
         """Run one tick, then advance the simulated hand to the next tick.
 
         Args:
-            io: events of buses and host.
-            requests: requests of the operator.
+            io: additional events of buses and host, which the controller receives in this tick.
+            requests: requests of the operator in this tick.
             late_ns: lateness of the tick [ns].
-            skip: number of deadlines missed before the tick.
+            skip: number of ticks that are left out before this tick, as if the host missed their
+                deadlines.
         """
         for _ in range(skip):
             self._step()
@@ -192,10 +195,12 @@ class Simulation:
         return out
 
     def ticks(self, limit_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
-        """Run and yield ticks until the controller is done. The simulated hand is at the time of the yielded tick.
+        """Run ticks until the controller is done, and yield input and output of each.
+
+        While a tick is yielded, the simulated hand is at the time of this tick.
 
         Args:
-            limit_s: maximum run time [s].
+            limit_s: longest duration of the run [s].
         """
         while self.k * self.period_ns < limit_s * 1e9:
             entry, out = self._decide((), (), 0)
@@ -205,9 +210,9 @@ class Simulation:
             self._step()
 
     def until(self, reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
-        """Run until a condition on the output is true, at most ``timeout_s`` [s].
+        """Run until a condition on the output of a tick is true, for at most ``timeout_s`` [s].
 
-        Returns True if it was.
+        The result is True if the condition became true.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
             out = self.tick()
@@ -233,12 +238,12 @@ class Simulation:
 
 
 def homed_controller(model: HandModel, program: Program, hand: Hand | None = None) -> Controller:
-    """Construct the controller for a homed hand, which needs no tare.
+    """Construct the controller for a simulated hand that is homed and needs no tare.
 
     Args:
         model: model of the hand with designed gains.
         program: program to run.
-        hand: hand with the actual drives and sensors. The default is the hand of the model.
+        hand: description of the actual drives and sensors. The default is the hand of the model.
     """
     target_hand = hand or model.hand
     zeros = np.zeros(model.tendon_count)
@@ -256,8 +261,8 @@ def simulate(
     Args:
         controller: controller with its program.
         simulator: settings of the simulated hand.
-        see: function called with input and output of each tick.
-        limit_s: maximum run time [s].
+        see: function that is called with the input and output of each tick.
+        limit_s: longest duration of the run [s].
 
     Returns:
         The last state of the controller.

@@ -1,4 +1,7 @@
-"""Loading of tasks, trajectories and scenes, packaged or from files, with a check against the hand."""
+"""Loading of tasks, trajectories and scenes, packaged or from files.
+
+Each task is checked against the hand.
+"""
 
 from contextlib import suppress
 from pathlib import Path
@@ -13,13 +16,14 @@ TASKS = Path(__file__).parents[1] / "tasks"
 
 
 GRASP = Path("grasp.toml")
-"""Name of the packaged task for hands with the digits of this task."""
+"""Name of the packaged grasp, for hands with the digits that this task moves."""
 
 
 def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
-    """Load a task by path or packaged name, and check that the task suits the hand.
+    """Load a task, given by path or packaged name, and check that the task suits the hand.
 
-    Without a name the packaged grasp is used, or the default task if the hand has other digits.
+    Without a name, the packaged grasp is loaded. If the hand has other digits, the default task is
+    made for it.
 
     Raises:
         ConfigError: the task does not exist, or its content is wrong.
@@ -37,7 +41,11 @@ def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
 
 
 def find_scene(name: str | None, hand: Hand) -> str:
-    """Return the named scene of a simulated hand. The default is a cylinder for the size of the hand."""
+    """Return the scene of a simulated hand.
+
+    Without a name, the result is the scene of the packaged grasp, or a cylinder whose size suits
+    the hand.
+    """
     if name is not None:
         return name
     with suppress(ConfigError):
@@ -47,7 +55,7 @@ def find_scene(name: str | None, hand: Hand) -> str:
 
 
 def task_path(name: Path) -> Path:
-    """Return the path of a task file, given as path or packaged name.
+    """Return the path of a task file, given by path or packaged name.
 
     Raises:
         ConfigError: the task does not exist.

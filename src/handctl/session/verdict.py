@@ -1,4 +1,4 @@
-"""Verdict on a finished run: performance numbers and a picture."""
+"""Verdict on a finished run: its performance numbers and a picture."""
 
 import shutil
 from contextlib import suppress
@@ -29,16 +29,17 @@ def judge_run(
 ) -> dict[str, Any]:
     """Compute the performance numbers of a run, and draw its picture next to the log.
 
-    If the disk is full, the picture is omitted with a notice of one line.
+    If the picture cannot be written, for example on a full disk, a notice says so.
 
     Args:
         plan: plan of the run.
         outcome: outcome of the run.
         log: log file of the run.
-        truth_file: truth file of the simulator, copied beside the log, or None on hardware.
+        truth_file: truth file of the simulator, which is copied to the folder of the log, or None
+            on hardware.
         picture: True to draw the picture.
-        task: executed task, if its grasp is to be judged. A grasp that did not hold its object is a
-            failure.
+        task: executed task, if its grasp is to be judged. The run failed if the grasp did not hold
+            the object.
     """
     truth_file = _copy_truth(log, truth_file, plan.tell) if truth_file else None
     truth = read_truth(truth_file) if truth_file else None
@@ -71,14 +72,14 @@ def judge_run(
 
 
 def _hold_phases(task: Task | None) -> set[str]:
-    """Return the names of the task phases with an object in the hand."""
+    """Return the names of the phases of a task in which the hand holds an object."""
     return {phase.name for phase in task.phase if isinstance(phase, Hold)} if task else set()
 
 
 def _copy_truth(log: Path, truth: Path, tell: NoticeCallback) -> Path:
-    """Copy the truth file to the folder of the log, and return the path.
+    """Copy the truth file to the folder of the log, and return the path of the copy.
 
-    If the copy fails, the original path is returned.
+    If the file cannot be copied, the original path is returned.
     """
     beside = log.with_suffix(".truth")
     if truth == beside:
@@ -103,15 +104,15 @@ def _draw_picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthReco
 
 
 def _report_omitted(path: Path, error: OSError, tell: NoticeCallback) -> None:
-    """Delete a partly written file next to the log, and notify the operator."""
+    """Delete a file that was only partly written next to the log, and notify the operator."""
     with suppress(OSError):
         path.unlink()
     tell(f"handctl: {path} is left out: {error.strerror or error}")
 
 
 def lost_frames(plan: Plan, outcome: Outcome) -> int:
-    """Return the number of frames refused by a bus or never received from the sensor node.
+    """Return the number of lost frames: those that a bus refused, or that never came from the sensor node.
 
-    A reply after the next SYNC counts as late, not as lost.
+    A reply that came after the next SYNC is late, and does not count as lost.
     """
     return outcome.stats.refused + make_sensors(plan.hand).lost(*outcome.state.sensor_counts)

@@ -1,1 +1,1 @@
-"""Tuning of a hand with unknown friction: identify, design, search, verify."""
+"""Tuning of a hand with unknown friction: identify its parameters, design gains, search better gains, verify them."""

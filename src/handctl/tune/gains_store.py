@@ -1,8 +1,8 @@
-"""Gains of a hand on disk: present gains and a numbered history, so that every change can be undone.
+"""Gains of a hand on disk: the present gains, and a numbered history with which every change can be undone.
 
-Runs use `HAND.gains.toml`. Every set of gains applied so far is in `HAND.gains/0001.toml` and
-following. Each file is written under a temporary name and then renamed, so that a reader gets
-either the old or the new file.
+Runs use `HAND.gains.toml`. All gains applied so far are in `HAND.gains/0001.toml` and the following
+numbers. Each file is written under a temporary name and then renamed. Thus a reader gets either the
+old or the new file.
 """
 
 import datetime
@@ -16,16 +16,16 @@ from handctl.errors import ConfigError
 from handctl.output import write_text_atomically
 
 BY_HAND = "edited by hand"
-"""Note in the provenance of gains edited by a user."""
+"""Note in the provenance of gains that a user edited."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredGains:
-    """Gains of the history.
+    """Entry of the history of gains.
 
     Attributes:
         path: path of the file in the history.
-        file: gains and provenance. The number is `file.provenance.number`.
+        file: content of the file: gains and their provenance.
     """
 
     path: Path
@@ -33,7 +33,7 @@ class StoredGains:
 
     @property
     def number(self) -> int:
-        """Return the number in the history."""
+        """Return the number of the entry in the history."""
         return self.file.provenance.number
 
 
@@ -42,15 +42,15 @@ class GainsStore:
 
     Attributes:
         path: path of the file with the present gains.
-        history: folder of all gains.
+        history: folder with the files of the history.
     """
 
     def __init__(self, hand: str, identity: str = "", folder: Path = Path()) -> None:
-        """Set the paths of a hand's gains.
+        """Set the paths of the files with the gains of a hand.
 
         Args:
             hand: name of the hand.
-            identity: hash of the description.
+            identity: hash of the description of the hand.
             folder: folder for the files.
         """
         self.hand = hand
@@ -59,15 +59,15 @@ class GainsStore:
         self.history = folder / f"{hand}.gains"
 
     def present(self) -> GainsFile | None:
-        """Return the present gains, or None if the packaged gains are used.
+        """Return the present gains, or None if there is no gains file and runs use the packaged gains.
 
         Raises:
-            ConfigError: The file cannot be used.
+            ConfigError: The file of the present gains cannot be used.
         """
         return load_gains_file(self.path) if self.path.exists() else None
 
     def entries(self) -> list[StoredGains]:
-        """Return all gains applied so far, oldest first.
+        """Return the entries of the history, oldest first.
 
         Raises:
             ConfigError: A file of the history cannot be used.
@@ -78,8 +78,8 @@ class GainsStore:
     def set_aside(self) -> Path | None:
         """Rename the file of the present gains if it cannot be used, and return the new path.
 
-        If the file can be used, None is returned. A damaged file prevents a rollback until it is
-        renamed.
+        If the file can be used, return None. A damaged file must be renamed before a rollback is
+        possible.
 
         Raises:
             ConfigError: The file cannot be renamed.
@@ -87,7 +87,8 @@ class GainsStore:
         try:
             self.present()
         except ConfigError:
-            # The first free name of NAME.damaged.toml, NAME.damaged1.toml, and so on.
+            # The new name is the first unused one of NAME.damaged.toml, NAME.damaged1.toml, and so
+            # on.
             numbers = (Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml") for n in itertools.count())
             aside = next(path for path in numbers if not path.exists())
             try:
@@ -99,7 +100,7 @@ class GainsStore:
     def apply(self, gains: Gains, provenance: Provenance) -> GainsFile:
         """Make the given gains the present gains.
 
-        Present gains edited by a user are first added to the history.
+        If a user edited the present gains, they are added to the history before.
 
         Raises:
             ConfigError: The files cannot be written, or the present file cannot be read, see
@@ -109,7 +110,7 @@ class GainsStore:
         return self._write_gains(gains, provenance)
 
     def rollback(self, to: int | None = None) -> GainsFile:
-        """Restore the gains before the present gains, or the gains with a given number.
+        """Restore the gains that the present gains replaced, or the gains with a given number.
 
         Number 0 restores the packaged gains.
 
@@ -131,7 +132,7 @@ class GainsStore:
         return self._write_gains(old, provenance.model_copy(update={"note": note}), restores=number)
 
     def _keep_edited(self) -> None:
-        """Add present gains that are not in the history to the history."""
+        """Add the present gains to the history, if they are not yet there."""
         present = self.present()
         if present is None:
             return
@@ -140,10 +141,10 @@ class GainsStore:
             self._write_gains(present.gains, present.provenance.model_copy(update={"note": BY_HAND}))
 
     def _write_gains(self, gains: Gains, provenance: Provenance, restores: int | None = None) -> GainsFile:
-        """Write gains under the next number of the history, then as present gains.
+        """Write gains to the history with the next number, and then make them the present gains.
 
-        A present file that is not in the history, e.g. a copy, counts as newer than the newest
-        entry.
+        If the present file is not in the history, for example a copy, the new gains are recorded as
+        the successor of the newest entry.
         """
         present = self.present()
         entries = self.entries()
@@ -165,8 +166,8 @@ class GainsStore:
         text = gains_text(gains, written)
         try:
             self.history.mkdir(parents=True, exist_ok=True)
-            # The history is written first. A crash between the two writes then leaves the present
-            # gains unchanged.
+            # The history is written first. After a crash between the two writes, the present gains
+            # are unchanged.
             write_text_atomically(self.history / f"{written.number:04d}.toml", text, new=True)
             write_text_atomically(self.path, text)
         except OSError as error:
@@ -175,12 +176,12 @@ class GainsStore:
 
 
 def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int:
-    """Return the number of the gains that were present before the present gains.
+    """Return the number of the gains that the present gains replaced.
 
-    After a rollback the number of the restored gains counts as the present number.
+    After a rollback, the restored gains count as the present gains.
 
     Raises:
-        ConfigError: The present gains are the packaged ones again, or the history has a gap.
+        ConfigError: The present gains are restored packaged gains, or the history lacks an entry.
     """
     provenance = present.provenance
     while provenance.restores:

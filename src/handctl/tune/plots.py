@@ -1,4 +1,4 @@
-"""Figures for tuning: loops before and after, Pareto front, verification."""
+"""Figures for tuning: the loops before and after a change of gains, the trials of a search, and a verification."""
 
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,9 @@ AFTER = "#3b6fb6"
 GREY = "#9a9a9a"
 TRUTH_COLOR = "#000000"
 STEP_S = {LoopKind.MOTION: 0.4, LoopKind.TENSION: 0.4}
-"""Duration of the disturbance step by loop [s]."""
+"""Duration of the drawn response to a disturbance step, by kind of loop [s]."""
 STEP_UNIT = {LoopKind.MOTION: (1e6, "travel [um]"), LoopKind.TENSION: (1.0, "tension [N]")}
-"""Scale and label of the step's response by loop."""
+"""Scale and axis label of this response, by kind of loop."""
 
 
 def _new_figure(width: float, height: float) -> Any:
@@ -31,18 +31,18 @@ def _new_figure(width: float, height: float) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
-    # A separate canvas needs neither a display nor pyplot's global state.
+    # The figure gets its own canvas, which needs neither a display nor the global state of pyplot.
     FigureCanvasAgg(figure)
     return figure
 
 
 def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> None:
-    """Draw Bode plot, Nyquist plot and disturbance step of the first tendon's two loops, before and after.
+    """Draw Bode plot, Nyquist plot and disturbance step of both loops of the first tendon, with old and new gains.
 
     Args:
         path: PNG file to write.
         before: model of the hand with the old gains.
-        after: model with the new gains.
+        after: model of the hand with the new gains.
         title: title of the figure.
     """
     figure = _new_figure(13, 8)
@@ -77,7 +77,8 @@ def _style_axes(row: Any, kind: LoopKind) -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     plane.plot(np.cos(turn), np.sin(turn), color=GREY, linewidth=0.8)
     plane.plot([-1.0], [0.0], "+", color="black")
-    # On the negative real axis the gain margin is the distance to -1 as a factor.
+    # On the negative real axis, the gain margin is the ratio of the distances of -1 and of the
+    # curve from the origin.
     plane.plot([-(10.0 ** (-GAIN_MARGIN_DB / 20.0))], [0.0], "|", color="black")
     plane.set(
         title=f"Nyquist; bar: {GAIN_MARGIN_DB:g} dB",
@@ -91,11 +92,11 @@ def _style_axes(row: Any, kind: LoopKind) -> None:
 
 
 def draw_search(path: Path, result: SearchResult, title: str) -> None:
-    """Draw the trials of a search with their Pareto front, and the cost of the best trial.
+    """Draw the trials of a search with their Pareto front, and the cost of the best trial so far.
 
     Args:
         path: PNG file to write.
-        result: finished trials.
+        result: result of the search with its finished trials.
         title: title of the figure.
     """
     figure = _new_figure(11, 4.8)
@@ -161,15 +162,15 @@ def draw_verify(
     offset_ns: int,
     rollback: Rollback | None,
 ) -> None:
-    """Draw angles, tensions and motor torques of a verification, and the change of gains.
+    """Draw angles, tensions and motor torques of a verification, and the times at which the gains change.
 
     Args:
         path: PNG file to write.
         log: log of the verification.
-        hand: hand of the run.
+        hand: description of the hand of the run.
         truth: ground truth of the simulator, None on hardware.
-        offset_ns: time of the run's t = 0 on the simulator's clock [ns].
-        rollback: return to the old gains during the run, or None.
+        offset_ns: time on the simulator's clock when the time of the run was 0 [ns].
+        rollback: return to the old gains during the run, or None if there was none.
     """
     figure = _new_figure(12, 7.5)
     figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new gains shaded")

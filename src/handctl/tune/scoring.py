@@ -1,6 +1,6 @@
-"""Scores of gains, from runs of the whole controller on simulated plants.
+"""Scores that rate gains by runs of the whole controller on simulated plants.
 
-The score compares each run of the exercise with the ground truth of the simulator.
+A score compares the goals of an exercise with the ground truth of the simulator.
 """
 
 import tempfile
@@ -28,23 +28,22 @@ from handctl.tune.loops.design import linear_factors, worst_margins
 Array = NDArray[np.float64]
 
 FAILED_OBJECTIVE = 1e3
-"""Objective value for gains with which the exercise did not finish."""
+"""Value of each objective for gains with which the exercise did not finish."""
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Score of gains: root mean square over the plants.
+    """Score of gains: root mean square over all plants.
 
     Attributes:
-        tracking_deg: error of the mean joint angle while moving, against the ground truth
-            [deg].
-        tension_N: error of the true tension against its setpoint while holding [N].
+        tracking_deg: difference between goal and true mean joint angle while digits move [deg].
+        tension_N: difference between goal and true tension while tensions are held [N].
         effort_Nm_per_s: rate of the commanded motor torque, a measure of wear and noise [N
             m/s].
-        peak_tension_N: largest true tension on any plant [N].
-        shortfall: missing part of a margin on the worst plant as a fraction, 0 or less if all
-            margins are large enough.
-        failure: reason of an early end, else empty.
+        peak_tension_N: largest true tension of any tendon on any plant [N].
+        shortfall: missing part of a margin on the worst plant, as a fraction of the required
+            margin. It is 0 or less if all margins are large enough.
+        failure: reason why a run ended early, else empty.
     """
 
     tracking_deg: float
@@ -56,16 +55,16 @@ class Score:
 
     @property
     def objectives(self) -> tuple[float, float, float]:
-        """Return the objectives to minimise in a search."""
+        """Return the objectives that a search minimises."""
         return self.tracking_deg, self.tension_N, self.effort_Nm_per_s
 
     def cost(self, scale: "Score") -> float:
-        """Return the cost of the score as one number, relative to another score.
+        """Return the cost of the score as one number, relative to a reference score.
 
         Tracking and tension have most of the weight. The effort decides between gains with similar
         tracking and tension.
         """
-        # The weights are 1, 1 and 0.1. Their sum is 2.1, so the cost of the reference is 1.
+        # The weights are 1, 1 and 0.1. Divided by their sum 2.1, the cost of the reference is 1.
         parts = [
             objective / max(other, 1e-9) for objective, other in zip(self.objectives, scale.objectives, strict=True)
         ]
@@ -73,12 +72,14 @@ class Score:
 
 
 def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Score gains. Input and output are plain values, so that any process can do this.
+    """Calculate the score of gains from a job.
+
+    Job and result are plain values. Therefore any process can evaluate a job.
 
     Args:
-        job: hand (text of its file), rate_hz, gains (table), plants (tables of factors), seed,
-            and optionally must_keep_margins: True to skip the simulation of gains without
-                sufficient margins.
+        job: table with hand (text of the hand file), rate_hz, gains (table), plants (tables of
+            factors), seed, and optionally must_keep_margins: True to skip the simulation of gains
+            without sufficient margins.
 
     Returns:
         A `Score` as a table.
@@ -104,7 +105,7 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
                     runs[-1].failure,
                 )
             )
-    # In the root mean square over the plants, the worst plants have the largest weight.
+    # A root mean square gives the worst plants the largest weight.
     tracking, tension, effort = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
     return _score_table(Score(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
 
@@ -114,13 +115,13 @@ def _score_table(score: Score) -> dict[str, Any]:
 
 
 def score_exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
-    """Score one run of the exercise on a plant, without the margins.
+    """Calculate the score of one run of the exercise on a simulated plant, without the margins.
 
     Args:
         hand: description of the hand.
         model: model with the gains.
         factors: factors of the plant relative to the description.
-        seed: seed of the noise.
+        seed: seed of the simulated noise.
     """
     return score_run(hand, *simulate_program(hand, model, Exercise(), factors, seed))
 
@@ -138,10 +139,11 @@ def simulate_program(
         model: model with the gains.
         program: program to run.
         factors: factors of the plant relative to the description.
-        seed: seed of the noise.
+        seed: seed of the simulated noise.
 
     Returns:
-        The ticks, the ground truth of the simulator, and the reason of an early end (else empty).
+        The ticks, the ground truth of the simulator, and the reason why the run ended early (else
+        empty).
     """
     ticks: Ticks = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
@@ -159,7 +161,7 @@ def score_run(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthR
     """Return the score of a run from the ground truth of the simulator.
 
     Args:
-        hand: hand of the run.
+        hand: description of the hand of the run.
         ticks: ticks of the run.
         truth: ground truth of the plant.
         failure: reason why the run ended early, or empty.
@@ -180,7 +182,7 @@ def score_run(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthR
 
 
 class GroundTruth(NamedTuple):
-    """Reference for a score: ground truth of the simulator, or estimates on hardware.
+    """Reference for a score: the ground truth of the simulator, or the estimates of the controller on hardware.
 
     Attributes:
         angle: (ticks, D) mean joint angle [rad].
@@ -207,11 +209,11 @@ def score_ticks(
     torque: Array,
     truth: GroundTruth,
 ) -> Score:
-    """Return the score of ticks of an exercise, without the margins.
+    """Return the score of some ticks of an exercise, without the margins.
 
     Args:
-        t_ns: (ticks,) times [ns].
-        phase: (ticks,) names of phases.
+        t_ns: (ticks,) times of the ticks [ns].
+        phase: (ticks,) name of the phase at each tick.
         angle: (ticks, D) goals of the mean joint angle [rad].
         tension: (ticks, N) tension goals [N].
         torque: (ticks, M) commanded motor torques [N m].

@@ -1,8 +1,9 @@
-"""Verification of new gains on the hand: old gains first, then new gains at increasing amplitude.
+"""Verification of new gains on the hand.
 
-If a limit is violated, the observer requests the old gains again. The observer uses the
-controller's request socket like any client, so the log contains all requests and can be
-re-executed.
+The hand does an exercise with the old gains, and then with the new gains at increasing amplitude.
+
+If a limit is violated, an observer of the run requests the old gains again. The controller receives
+these requests like those of any client. Therefore the log contains them, and can be executed again.
 """
 
 import json
@@ -24,26 +25,33 @@ from handctl.safety.action import Action
 from handctl.tune.scoring import GroundTruth, Score, score_ticks
 
 OLD_ROUNDS = 2
-"""Number of rounds with the old gains. The last round is used for the comparison."""
-AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
-"""Amplitudes of the rounds: first with the old gains, then increasing with the new gains.
+"""Number of rounds of the exercise with the old gains.
 
-Old and new gains each have a round before the compared round.
+The last of them is compared with the new gains.
+"""
+AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
+"""Amplitudes of the rounds of the exercise: first those with the old gains, then those with the new gains.
+
+Before the round that is compared, both old and new gains have at least one other round.
 """
 WINDOW_S = 0.1
-"""Time window in which ringing is measured [s], two oscillation periods of a drive on a blocked tendon."""
+"""Duration of the window in which oscillations of the torques are measured [s].
+
+It contains two periods of the oscillation of a drive on a blocked tendon.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class VerifyLimits:
-    """Limits that a run with the new gains must stay within.
+    """Limits within which a run with the new gains must stay.
 
     Attributes:
-        tracking_rad: largest tracking error of any joint's estimate while moving [rad].
-        trip_fraction: largest tension, as a fraction of the tendon's trip tension.
-        ringing_factor: largest rate of change of the motor torques (RMS over a window), as a
-            multiple of the largest with the old gains.
-        ringing_floor_Nm_per_s: rate of change below which the torques do not count as ringing [N
+        tracking_rad: largest difference between goal and estimated angle of any joint while moving
+            [rad].
+        trip_fraction: largest tension of a tendon, as a fraction of its ``tension_trip_N``.
+        ringing_factor: largest rate of change of the motor torques (RMS over a window), divided by
+            the largest one with the old gains.
+        ringing_floor_Nm_per_s: rate of change up to which the torques never count as oscillating [N
             m/s].
     """
 
@@ -55,13 +63,13 @@ class VerifyLimits:
 
 @dataclass(frozen=True, slots=True)
 class Rollback:
-    """Return to the old gains.
+    """Return to the old gains during a verification.
 
     Attributes:
-        t_s: time of the request [s].
-        k: tick of the request.
-        amplitude: amplitude of the exercise at that time.
-        why: violated limit, with measured value and limit.
+        t_s: time at which the return was requested [s].
+        k: tick of the controller at which the return was requested.
+        amplitude: amplitude of the exercise in that round.
+        why: text with the violated limit and the measured value.
     """
 
     t_s: float
@@ -72,14 +80,14 @@ class Rollback:
 
 @dataclass
 class VerifyObserver:
-    """Observer that requests the new gains, supervises the run, and requests the old gains if a limit is violated.
+    """Observer of a run that requests the new gains, and requests the old gains again if a limit is violated.
 
     Attributes:
         hand: description of the running hand.
-        old: gains before the change.
+        old: gains with which the run starts.
         new: gains to verify. Only gains that a running controller accepts may differ from the old
             gains.
-        limits: limits of the new gains.
+        limits: limits for the rounds with the new gains.
         amplitudes: amplitudes of the rounds of the exercise.
         old_rounds: number of rounds with the old gains.
         rollback: return to the old gains, or None if it was not necessary.
@@ -100,7 +108,7 @@ class VerifyObserver:
     _max_ringing: float = 0.0
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return the requests of this tick, see `RunObserver`."""
+        """Return the observer's requests for this tick, see `RunObserver`."""
         requests = tuple(self._requests)
         self._requests = []
         return requests
@@ -109,7 +117,7 @@ class VerifyObserver:
         """Observe a tick, see `RunObserver`."""
         if out.phase == "settle" and self._phase != "settle":
             self._round += 1
-            # The gains change in `settle`, while the hand rests.
+            # The gains change in the phase `settle`, while the hand is at rest.
             if self._round == self.old_rounds + 1:
                 self._request_gains(self.new, self.old)
         self._phase = out.phase
@@ -122,20 +130,21 @@ class VerifyObserver:
             self._request_gains(self.old, self.new)
 
     def _request_gains(self, gains: Gains, replaced: Gains) -> None:
-        """Queue a request that replaces gains by other gains, as far as a running controller accepts them."""
-        # A running controller keeps the forces of single tendons that a request does not set.
+        """Queue a request for other gains, as far as a running controller accepts them."""
+        # If a request does not set the forces of single tendons, a running controller keeps them.
+        # Therefore all are set.
         all_values = values_by_key(gains) | {key: new for key, (_, new) in different_values(replaced, gains).items()}
         values = {key: value for key, value in all_values.items() if key.partition(".")[0] in LIVE_SECTIONS}
         self._requests.append(json.dumps({"do": "gains", "set": values}))
 
     def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
-        """Return the rate of change of the motor torques, RMS over a window [N m/s]."""
+        """Return the rate of change of the motor torques, as RMS over the window up to this tick [N m/s]."""
         torque = out.telemetry.motor_torque_goal
         before = self._torque
         self._torque = torque
         if before is None or out.mode != Mode.ACTIVE:
             return 0.0
-        # The observer does not have the control rate, and uses the mean period so far.
+        # The observer does not know the control rate. It uses the mean period so far.
         period = entry.t_ns / max(entry.k, 1) / 1e9
         self._rates.append(float(np.square(torque - before).mean()) / period**2)
         while len(self._rates) > WINDOW_S / period:
@@ -143,7 +152,7 @@ class VerifyObserver:
         return float(np.sqrt(sum(self._rates) / len(self._rates)))
 
     def _violated_limit(self, out: TickOut, ringing: float) -> str:
-        """Return the violated limit as text, else empty."""
+        """Return a text about the limit that a tick violates, else an empty text."""
         if out.action >= Action.HOLD:
             return f"safety: {out.action.name}"
         if out.mode != Mode.ACTIVE:
@@ -168,23 +177,23 @@ MEASURES = {
     "effort_Nm_per_s": ("effort", "N m/s"),
     "peak_tension_N": ("peak tension", "N"),
 }
-"""Name and unit of each measure, by its field in `Score`."""
+"""Name and unit of each compared measure, by its field in `Score`."""
 ONE_RUN_SPREAD = 0.1
-"""Spread assumed for a measure if there is only one run, as a fraction of the old value."""
+"""If there is only one run, this spread of a measure is assumed, as a fraction of the old value."""
 MIN_DIFFERENCE = 0.02
-"""Smallest difference that is not judged "same", as a fraction of the old value."""
+"""Largest difference between old and new value that is judged as "same", as a fraction of the old value."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasureComparison:
-    """Comparison of old and new gains in one measure, at full amplitude.
+    """Comparison of old and new gains by one measure, at full amplitude.
 
     Attributes:
         name: name of the measure.
         unit: unit of the measure.
         old: mean over the runs with the old gains.
         new: mean over the runs with the new gains.
-        spread: half of the 95 % interval of the difference, assumed for a single run.
+        spread: half of the 95 % interval of the difference. For a single run, it is assumed.
         verdict: "better", "worse" or "same".
     """
 
@@ -197,7 +206,7 @@ class MeasureComparison:
 
 
 def compare_rounds(runs: list[list[Score]]) -> list[MeasureComparison]:
-    """Compare the new gains' round at full amplitude with the old gains' round, run by run.
+    """Compare the rounds at full amplitude with old and new gains, run by run.
 
     Args:
         runs: scores of the rounds of each run.
@@ -219,14 +228,14 @@ def compare_rounds(runs: list[list[Score]]) -> list[MeasureComparison]:
 
 
 def scores_by_round(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> list[Score]:
-    """Score each round of the exercise, the old gains' rounds first.
+    """Calculate the score of each round of the exercise, beginning with the rounds with the old gains.
 
     Args:
         log: log of the verification.
-        hand: hand of the run.
-        truth: ground truth of the simulator. None on hardware, where the estimates replace the
-            truth.
-        offset_ns: time of the run's t = 0 on the simulator's clock [ns].
+        hand: description of the hand of the run.
+        truth: ground truth of the simulator. On hardware it is None, and the estimates of the
+            controller are used.
+        offset_ns: time on the simulator's clock when the time of the run was 0 [ns].
     """
     starts = [change.k for change in log.phases if change.name == "settle"]
     phase = phase_of_each(log.phases, log.k)

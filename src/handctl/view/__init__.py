@@ -1,1 +1,1 @@
-"""Display of logs and running hands in Rerun. Only this package imports Rerun."""
+"""Display of logs and of running hands in the viewer Rerun. No other package imports Rerun."""

@@ -1,4 +1,7 @@
-"""Display of a log in a viewer. The first seconds are visible while the rest is being sent."""
+"""Display of a log in a viewer.
+
+The first seconds of the run are visible while the rest is being sent.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -14,12 +17,12 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
 FIRST_PART_NS = 2_000_000_000
-"""Length of the first part of the run to send [ns].
+"""Length of the part of the run that is sent first [ns].
 
-The part is short, so that the hand appears at once.
+The first part is short, so that the hand appears at once.
 """
 FLUSH_S = 5.0
-"""Longest wait for the viewer to receive the last data [s]."""
+"""Longest wait until the viewer has received the last data [s]."""
 
 
 @contextmanager
@@ -30,7 +33,7 @@ def browse_log(
     environment: dict[str, str],
     scan: RecordScan | None = None,
 ) -> Iterator[Viewer]:
-    """Open a viewer and send a whole log to the viewer.
+    """Open a viewer, and send a whole log to the viewer.
 
     The viewer closes at the end of the context.
 
@@ -39,13 +42,13 @@ def browse_log(
         run: run and hand of the log.
         arguments: further arguments of the viewer.
         environment: environment variables for the viewer.
-        scan: outer records of the log if already scanned.
+        scan: outer records of the log, if the log has been scanned already.
 
     Yields:
-        The viewer, after the whole log was sent.
+        the viewer, after the whole log was sent.
 
     Raises:
-        LogError: the log is damaged. The part before the damage is visible.
+        LogError: the log is damaged. The viewer then shows the part before the damage.
         HandctlError: the viewer does not start.
     """
     # The viewer starts on another core while this process imports Rerun and converts the first
@@ -63,7 +66,7 @@ def browse_log(
 
 
 def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> None:
-    """Send all chunks until the end or until the viewer is closed."""
+    """Send chunks to a viewer, until all are sent or the viewer is closed."""
     import rerun as rr
 
     from handctl.view.feed import new_recording

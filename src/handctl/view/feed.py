@@ -1,4 +1,4 @@
-"""Conversion of a log to Rerun, into a file or a viewer."""
+"""Conversion of a log to the chunks that Rerun shows. The chunks go to a file or to a viewer."""
 
 import errno
 import os
@@ -25,17 +25,17 @@ from handctl.view.scene.true_shapes import true_shape_chunks
 from handctl.view.time_slices import SLICE_NS, time_slices
 
 DISK_SPACE_FACTOR = 2
-"""Required free space for a recording, as a multiple of the log's size.
+"""Free disk space that must exist before a recording is written, as a multiple of the log's size.
 
-On a full disk, Rerun's writer would block forever.
+If the disk became full, Rerun's writer would block forever.
 """
 DECODERS = ("ros2msg", "ros2_reflection", "urdf")
-"""Rerun's decoders for the messages of a log."""
+"""Names of the decoders with which Rerun reads the messages of a log."""
 
 
 @contextmanager
 def rerun_errors(name: str) -> Iterator[None]:
-    """Convert Rerun's errors about a bad file to a LogError."""
+    """Turn an error that Rerun raises about a bad file into a LogError."""
     try:
         yield
     except (RuntimeError, ValueError, OSError) as error:
@@ -43,20 +43,20 @@ def rerun_errors(name: str) -> Iterator[None]:
 
 
 def run_chunks(path: Path, run: RunInfo, first_ns: int = SLICE_NS) -> Iterator[Chunk]:
-    """Return all chunks of a log in the order of time, see `run_parts`."""
+    """Return all chunks of a log one after another, see `run_parts`."""
     return chain.from_iterable(run_parts(path, run, first_ns))
 
 
 def run_parts(
     path: Path, run: RunInfo, first_ns: int = SLICE_NS, scan: RecordScan | None = None
 ) -> Iterator[list[Chunk]]:
-    """Yield all chunks of a log in parts: static chunks first, then the run in the order of time.
+    """Yield all chunks of a log in parts. The first part has the static chunks. The run follows in the order of time.
 
     Args:
-        path: path of the log, complete or with an early end.
+        path: path of the log. The log may end early.
         run: run and hand of the log.
-        first_ns: length of the run in the first part [ns].
-        scan: outer records of the log if already scanned.
+        first_ns: length of the first part of the run [ns].
+        scan: outer records of the log, if the log has been scanned already.
 
     Raises:
         LogError: the log is damaged.
@@ -70,9 +70,9 @@ def run_parts(
 
 
 def complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
-    """Return the path of a complete log: the log itself, or a repaired copy if it ends early.
+    """Return the path and the scan of a complete log: the log itself, or a repaired copy of a log that ends early.
 
-    Rerun would omit parts of the last chunk of an incomplete log.
+    Rerun omits parts of the last chunk of an incomplete log.
 
     Raises:
         LogError: the log has no complete chunk.
@@ -86,13 +86,13 @@ def complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, Reco
 
 
 def log_chunks(path: Path, converters: TopicConverters, name: str, since_ns: int = 0) -> Iterator[Chunk]:
-    """Yield the chunks of all topics that change during a run.
+    """Yield the chunks that the dashboard needs, made from the topics of a log.
 
     Args:
-        path: path of the log, complete or with an early end.
-        converters: converters of the topics.
-        name: name of the log in messages.
-        since_ns: log time from which on chunks are returned [ns].
+        path: path of the log. The log may end early.
+        converters: converters for the topics of the log.
+        name: name of the log in error messages.
+        since_ns: log time before which the log is not read [ns].
 
     Raises:
         LogError: the log is damaged.
@@ -100,18 +100,21 @@ def log_chunks(path: Path, converters: TopicConverters, name: str, since_ns: int
     with rerun_errors(name):
         reader = McapReader(path, decoders=DECODERS, include_topic_regex=converters.topics, recover=True)
         first, last = reader.time_bounds()
-        # The end of a stream's time range is exclusive.
+        # The end of the time range does not belong to the stream, so 1 is added.
         raw = reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1).collect().stream().to_chunks()
     yield from (new for chunk in sorted(raw, key=_start_time) for new in converters(chunk))
 
 
 def _start_time(chunk: Chunk) -> int:
-    """Return the log time of a chunk's first row [ns]. A chunk without times comes first."""
+    """Return the log time of a chunk's first row [ns].
+
+    A chunk without times gets -1, and so comes first.
+    """
     return int(times_since_start(chunk, 0)[0]) if LOG_TIME in chunk.timeline_names else -1
 
 
 def new_recording(run: RunInfo) -> rr.RecordingStream:
-    """Return a new Rerun recording without a sink."""
+    """Return a new Rerun recording that is not yet connected to a file or a viewer."""
     stream = rr.RecordingStream(run.application, recording_id=run.name, send_properties=False)
     stream.send_recording_name(run.name)
     if run.header.offset_ns:
@@ -120,19 +123,19 @@ def new_recording(run: RunInfo) -> rr.RecordingStream:
 
 
 def write_rrd(path: Path, run: RunInfo, out: Path) -> int:
-    """Write a log as a Rerun recording with its layout.
+    """Write a log as a Rerun recording, which includes the layout of the dashboard.
 
     Args:
         path: path of the log.
         run: run and hand of the log.
-        out: file to write.
+        out: file of the recording.
 
     Returns:
-        Size of the file [bytes].
+        size of the recording's file [bytes].
 
     Raises:
         LogError: the log is damaged, or the file cannot be written.
-        OSError: the free space is too small.
+        OSError: the free disk space is too small.
     """
     if shutil.disk_usage(out.absolute().parent).free < DISK_SPACE_FACTOR * path.stat().st_size:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(out))

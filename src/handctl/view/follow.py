@@ -1,4 +1,4 @@
-"""Live display of a run. Reads the growing log and sends new chunks to a viewer."""
+"""Live display of a run. This process reads the growing log and sends new chunks to a viewer."""
 
 import tempfile
 import time
@@ -24,21 +24,21 @@ from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_vie
 CHECK_PERIOD_S = 0.2
 """Interval between checks for new data in the log [s]."""
 FLUSH_S = 5.0
-"""Longest wait for the viewer [s]."""
+"""Longest wait until the viewer has received all sent data [s]."""
 LOG_FILE_TIMEOUT_S = 30.0
-"""Longest wait until the log file exists [s]."""
+"""Longest wait until the log file exists and has a header [s]."""
 NO_GROWTH_TIMEOUT_S = 15.0
-"""Time without growth of the log after which the recorder counts as dead [s]."""
+"""Time without growth of the log after which the recorder is taken for dead [s]."""
 
 
 class LogFollower:
-    """Sender of a growing log to a viewer, step by step."""
+    """Sender that passes a growing log to a viewer, step by step."""
 
     def __init__(self, log: Path, run: RunInfo, url: str) -> None:
-        """Connect to a viewer and send the static chunks.
+        """Connect to a viewer, and send the static chunks of the run.
 
         Args:
-            log: path of the log. The log must have its header.
+            log: path of the log, which must already have a header.
             run: run and hand of the log.
             url: address of the viewer.
         """
@@ -51,7 +51,7 @@ class LogFollower:
         rr.send_chunks(chain(style_chunks(run), mesh_chunks(run)), recording=self._stream)
 
     def step(self) -> bool:
-        """Send new chunks. Return False if the log has not grown.
+        """Send the new chunks of the log to the viewer. Return False if the log has not grown.
 
         Raises:
             LogError: the log is damaged.
@@ -66,13 +66,13 @@ class LogFollower:
         return True
 
     def _flush(self) -> None:
-        """Wait until the viewer has received all data, unless the viewer was closed."""
+        """Wait until the viewer has received all data. If the viewer was closed, do not wait."""
         with suppress(RuntimeError):
             self._stream.flush(timeout_sec=FLUSH_S)
 
     @property
     def ended(self) -> bool:
-        """Return True if the end of a complete log has been sent."""
+        """Return True if the log is complete and has been sent to the end."""
         return self._tail.ended
 
     def close(self) -> None:
@@ -83,16 +83,16 @@ class LogFollower:
 
 
 def follow(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | None = None) -> None:
-    """Open a viewer and show a log until its end.
+    """Open a viewer, and show a growing log until the log ends.
 
     Args:
         log: path of the log. The file may be created later.
         arguments: further arguments of the viewer.
-        stop: event that requests an earlier end.
+        stop: flag that requests an earlier end of the display.
 
     Raises:
-        LogError: the log does not appear, or is damaged.
-        ConfigError: the session has no screen.
+        LogError: the log does not appear in time or is damaged.
+        ConfigError: the session has no screen on which to open the viewer.
         HandctlError: the viewer does not start.
     """
     headless = "--headless" in arguments
@@ -114,7 +114,7 @@ def follow(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | Non
 
 
 def _until_end(follower: LogFollower, running: Viewer, stop: TerminationFlag) -> None:
-    """Send new chunks until the log ends, the viewer is closed, a stop is requested, or the log stops growing."""
+    """Send new chunks until the log ends or stops growing, the viewer is closed, or a stop is requested."""
     news = time.monotonic()
     while not (follower.ended or stop.asked) and running.process.poll() is None:
         start = time.monotonic()
@@ -122,12 +122,13 @@ def _until_end(follower: LogFollower, running: Viewer, stop: TerminationFlag) ->
             news = start
         elif start - news > NO_GROWTH_TIMEOUT_S:
             return
-        # A slow step shortens the pause. The minimum leaves the processor to other programs.
+        # After a slow step the pause is shorter. The shortest pause still leaves the processor to
+        # other programs.
         time.sleep(max(CHECK_PERIOD_S - (time.monotonic() - start), CHECK_PERIOD_S / 4))
 
 
 def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
-    """Wait for the header of a log, and return the reader, or None after a stop request."""
+    """Wait for the header of a log, and return the data about the run, or None after a stop request."""
     end = time.monotonic() + LOG_FILE_TIMEOUT_S
     while not stop.asked:
         try:

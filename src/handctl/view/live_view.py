@@ -1,9 +1,10 @@
-"""Process of the live view: its start by a controller, and its main program.
+"""Process that shows a run live: start by the controller, and main program.
 
 Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]`.
 
-The process only reads the log and is independent of the controller. The process ends when the log
-ends, when the viewer is closed, or on SIGTERM. The viewer remains open.
+The process only reads the log, and does not depend on the controller. The process ends when the log
+ends, when the viewer is closed, or on SIGTERM. After the end of the log or SIGTERM, the viewer
+remains open.
 """
 
 import os
@@ -17,14 +18,14 @@ from handctl.errors import HandctlError
 from handctl.handlers import TerminationFlag
 
 NICE = 10
-"""Scheduling priority, below that of the controller."""
+"""Increment of the nice value, for a lower priority than the controller."""
 
 
 def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
     """Start a process that shows a log in a viewer while the log is being written.
 
-    A failure of the process or of the viewer has no effect on the controller. This module imports
-    only light packages, because the controller's process imports it.
+    A failure of this process or of the viewer has no effect on the controller. The controller's
+    process imports this module. Therefore the module imports only packages that load fast.
 
     Args:
         log_path: path of the log. The file may be created later.
@@ -42,7 +43,7 @@ def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
 
 
 def main() -> int:
-    """Run the live view of the log in the first argument."""
+    """Run the live view of the log that the first argument names, and return the exit code."""
     stop = TerminationFlag()
     signal.signal(signal.SIGTERM, stop)
     with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Picture of the dashboard at one time of a run, drawn without a screen."""
+"""Picture of the dashboard at one time of a run. The picture is drawn without a screen."""
 
 import time
 from pathlib import Path
@@ -15,30 +15,30 @@ if TYPE_CHECKING:
 SIZE = "1600x900"
 """Width and height of the picture [pixels]."""
 LOAD_S = 60.0
-"""Longest wait for the viewer [s]."""
+"""Longest wait until the viewer answers, and longest wait until the recording is loaded [s]."""
 SETTLE_S = 1.0
-"""Pause between two pictures [s]."""
+"""Pause between two screenshots that are compared [s]."""
 NOTICE_S = 5.0
-"""Time after the start during which the viewer shows notices over the picture [s]."""
+"""Time from the start of the viewer during which notices cover the dashboard [s]."""
 UNCHANGED_TIMEOUT_S = 10.0
-"""Longest wait until the picture no longer changes [s]."""
+"""Longest wait until two screenshots are equal [s]."""
 
 
 def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
-    """Draw a recording as PNG.
+    """Draw the dashboard of a Rerun recording at one time as PNG.
 
     Args:
-        rrd: path of the recording, which includes its layout.
-        at_s: time since the start of the run [s].
+        rrd: path of the recording, which includes the layout of the dashboard.
+        at_s: time to show, since the start of the run [s].
         out: path of the PNG file to write.
 
     Returns:
-        Problems that the views report, or an empty list.
+        problems that the views of the dashboard report, or an empty list.
 
     Raises:
         ConfigError: no Vulkan driver is installed.
         HandctlError: the viewer failed.
-        OSError: the picture cannot be written.
+        OSError: the PNG file cannot be written.
     """
     with running_viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
         clear = time.monotonic() + NOTICE_S
@@ -54,9 +54,9 @@ def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
 
 
 def settled_screenshot(client: "ViewerClient") -> bytes:
-    """Return the picture once it no longer changes.
+    """Return a screenshot of the viewer once the screenshots no longer change.
 
-    On a busy machine the views are drawn one after the other.
+    On a busy machine, the viewer draws the views of the dashboard one after the other.
     """
     end = time.monotonic() + UNCHANGED_TIMEOUT_S
     before = client.take_screenshot()
@@ -69,7 +69,7 @@ def settled_screenshot(client: "ViewerClient") -> bytes:
 
 
 def connect_client(running: Viewer) -> "ViewerClient":
-    """Return a client connected to a viewer that is starting."""
+    """Wait for a viewer that is starting, and return a client connected to the viewer."""
     from rerun.experimental import ViewerClient
 
     end = time.monotonic() + LOAD_S
@@ -86,21 +86,24 @@ def connect_client(running: Viewer) -> "ViewerClient":
 
 
 def timeline_end(state: "ViewerState", timeline: str) -> int:
-    """Return the end of a timeline over all recordings of a viewer, in the timeline's unit, or -1 without data."""
+    """Return the latest end of a timeline in all recordings of a viewer, in the timeline's unit.
+
+    The end is -1 without data.
+    """
     lines = [line for recording in state.recordings for line in recording.timelines if line.name == timeline]
     return max((line.end for line in lines if line.end is not None), default=-1)
 
 
 def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
-    """Wait until the views exist and a recording is loaded up to some time.
+    """Wait until a viewer has views and has loaded a recording up to a given time.
 
-    A viewer gets a recording and its layout before the first data, and already then reports that
-    loading is done.
+    A viewer gets a recording and the layout before the first data. Already then the viewer reports
+    the end of loading, so a check of this report alone is not enough.
 
     Args:
         client: client of the viewer.
-        timeline: a timeline of the recording.
-        until: required end of the timeline, in its unit.
+        timeline: name of a timeline of the recording.
+        until: time up to which the recording must be loaded, in the timeline's unit.
 
     Raises:
         HandctlError: the recording is not loaded after `LOAD_S`.

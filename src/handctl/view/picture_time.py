@@ -7,7 +7,10 @@ PICTURED_PHASE = "hold"
 
 
 def picture_time(log: RunLog) -> float:
-    """Return the middle of the longest hold phase [s], or of the whole run without a hold."""
+    """Return the middle of the longest hold phase of a run [s].
+
+    In a run without a hold, return the middle of the run.
+    """
     if not len(log):
         return 0.0
     ends = [change.t_ns for change in log.phases[1:]] + [int(log.t_ns[-1])]

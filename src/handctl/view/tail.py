@@ -1,4 +1,7 @@
-"""Reading of new chunks from a log that is being written, in the form of small logs."""
+"""Reader for a log that is being written.
+
+The reader copies each group of new chunks into a small log.
+"""
 
 from pathlib import Path
 
@@ -7,14 +10,14 @@ from handctl.log.read.record_scan import RecordScan, scan_records
 
 
 class LogTail:
-    """Reader of a growing log, from its start to its end.
+    """Reader of a growing log, from start to end.
 
     Attributes:
-        ended: True if the end mark of the log was read.
+        ended: True if the end mark of the log has been read.
     """
 
     def __init__(self, path: Path) -> None:
-        """Start before the first chunk.
+        """Start before the first chunk of a log.
 
         Args:
             path: path of the log.
@@ -24,14 +27,14 @@ class LogTail:
         self.ended = False
 
     def write_new(self, part: Path) -> int | None:
-        """Write the chunks since the last call into a log without an end.
+        """Write the chunks that are new since the last call into a log that has no end.
 
         Args:
-            part: file to write, with all definitions of topics.
+            part: log file to write. The file also has the definitions of all topics.
 
         Returns:
-            The first new log time [ns], or None if no new chunk is complete. The file is then not
-            written.
+            the first new log time [ns]. If no new chunk is complete, the result is None, and no
+            file is written.
 
         Raises:
             LogError: the log is damaged.
@@ -41,8 +44,8 @@ class LogTail:
         try:
             scan_records(file, scan)
             self.ended = scan.complete
-            # Rerun loses messages of a chunk whose index is not complete, so a chunk waits for what
-            # follows it.
+            # Rerun loses messages of a chunk whose message indexes are not complete. So a chunk is
+            # sent only when the next record after them exists.
             ends = [
                 *(chunk.offset for chunk in scan.chunks[1:]),
                 *([scan.end] if scan.complete else []),
@@ -51,7 +54,8 @@ class LogTail:
             if not new:
                 return None
             with part.open("wb") as out:
-                # The first chunk has the definitions of all topics. Every part begins with it.
+                # The first chunk of the log has the definitions of all topics. Every part begins
+                # with it.
                 if self._sent_chunks:
                     out.write(file.read(0, ends[0]))
                 start = new[0].offset if self._sent_chunks else 0

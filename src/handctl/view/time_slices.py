@@ -1,6 +1,6 @@
 """Division of a log into small logs by time.
 
-The first part can be shown before the last part is read.
+A viewer can show the first part before the last part is read.
 """
 
 from collections.abc import Iterator
@@ -10,26 +10,26 @@ from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.record_scan import RecordScan
 
 SLICE_NS = 20_000_000_000
-"""Length of the run per part [ns].
+"""Length of the run in each part after the first one [ns].
 
-Parts of this length have few chunks, so that memory use stays bounded.
+A part of this length has few chunks, which limits the use of memory.
 """
 
 
 def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> Iterator[tuple[Path, int]]:
     """Yield parts of a complete log in the order of time.
 
-    Each part is a log file. The file is deleted when the next part is requested.
+    Each part is a log file. The file is overwritten when the next part is requested.
 
     Args:
         path: path of a complete log.
         scan: outer records of the log.
         folder: folder for the parts.
-        first_ns: length of the run in the first part [ns].
+        first_ns: length of the first part of the run [ns].
 
     Yields:
-        The part, and its first new log time [ns]. Each part starts with the definitions of all
-        topics, whose log times are older.
+        the path of the part, and the first new log time [ns]. Each part starts with the definitions
+        of all topics. In later parts, the log times of the definitions are older.
 
     Raises:
         LogError: the log is damaged.
@@ -60,7 +60,7 @@ def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> It
 
 
 def _group_chunks(start_ns: int, chunks: list[ChunkLocation], first_ns: int) -> list[list[ChunkLocation]]:
-    """Return the chunks grouped by the part in which each chunk begins."""
+    """Divide chunks into groups, one for each part of the run, according to the part in which a chunk begins."""
     groups: dict[int, list[ChunkLocation]] = {}
     for chunk in chunks:
         groups.setdefault(max(-1, (chunk.first - start_ns - first_ns) // SLICE_NS), []).append(chunk)

@@ -1,4 +1,4 @@
-"""Rerun viewer as a separate process, from the installed package.
+"""Viewer of the installed rerun-sdk package, run as a separate process.
 
 The viewer accepts connections only from this machine.
 """
@@ -19,13 +19,13 @@ from handctl.errors import ConfigError, HandctlError
 from handctl.runtime.paths import run_dir
 
 LOOPBACK = "127.0.0.1"
-"""Address on which the viewer listens. Only this machine can connect."""
+"""Address on which the viewer listens. Only programs on this machine can connect to the viewer."""
 VULKAN_DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
-"""Folders with description files of Vulkan drivers."""
+"""Folders in which Vulkan drivers install their description files."""
 SOFTWARE_DRIVER_FILES = "lvp_icd*.json"
-"""File pattern of Mesa's lavapipe, Vulkan on the processor.
+"""Pattern for the description file of Mesa's lavapipe, a Vulkan driver that draws on the processor.
 
-Pictures then do not depend on a graphics card.
+Pictures drawn with this driver do not depend on a graphics card.
 """
 PACKAGES = "libvulkan1 mesa-vulkan-drivers"
 START_S = 30.0
@@ -33,7 +33,7 @@ START_S = 30.0
 END_S = 5.0
 """Longest wait for the end of a viewer [s]."""
 _ADDRESS_LINE = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
-"""Pattern for the line with the address in the viewer's output."""
+"""Pattern for the viewer's address in the output of the viewer."""
 
 
 def viewer_path() -> Path:
@@ -52,10 +52,10 @@ def viewer_path() -> Path:
 
 
 def software_vulkan() -> dict[str, str]:
-    """Return the environment variables for drawing without a screen.
+    """Return the environment variables that a viewer needs to draw without a screen.
 
     Returns:
-        Empty if the defaults suffice.
+        the variables by name. The mapping is empty if none are needed.
 
     Raises:
         ConfigError: no Vulkan driver is installed.
@@ -70,7 +70,7 @@ def software_vulkan() -> dict[str, str]:
 
 
 def _driver_files(pattern: str) -> list[Path]:
-    """Return the description files of installed Vulkan drivers."""
+    """Return the description files of installed Vulkan drivers whose names fit a pattern."""
     return [path for folder in VULKAN_DRIVER_FOLDERS for path in sorted(Path(folder).glob(pattern))]
 
 
@@ -84,7 +84,7 @@ def _has_loader() -> bool:
 
 
 def check_screen() -> None:
-    """Raise an error if a window cannot be opened because the session has no screen.
+    """Raise an error if the session has no screen on which to open a window.
 
     Raises:
         ConfigError: the session has no screen.
@@ -106,7 +106,7 @@ class Viewer:
     url: str
 
     def end(self) -> None:
-        """Close the viewer."""
+        """Close the viewer, and wait until the process has ended."""
         self.process.terminate()
         try:
             self.process.wait(END_S)
@@ -117,18 +117,18 @@ class Viewer:
 
 @dataclass(frozen=True, slots=True)
 class StartingViewer:
-    """Viewer process that is starting.
+    """Viewer process that is still starting.
 
     Attributes:
         process: process of the viewer.
-        notes: text output of the viewer.
+        notes: file with the text output of the viewer.
     """
 
     process: "subprocess.Popen[bytes]"
     notes: IO[bytes]
 
     def ready(self) -> Viewer:
-        """Wait until the viewer listens, or kill it.
+        """Wait until the viewer listens, and return the viewer. Kill a viewer that does not listen in time.
 
         Raises:
             HandctlError: the viewer does not start.
@@ -145,26 +145,27 @@ class StartingViewer:
 
 
 def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> StartingViewer:
-    """Start a viewer on a free port of this machine, with its telemetry disabled.
+    """Start a viewer on a free port of this machine, without sending usage data to the makers of Rerun.
 
-    The function does not wait for the viewer.
+    The function does not wait until the viewer listens.
 
-    The system chooses the port. Rerun's default port is 9876. A viewer on this port would also
-    receive streams from other programs, and data for a viewer closed earlier.
+    The system chooses the port. On Rerun's default port 9876, the viewer would also receive streams
+    from other programs, and data meant for a viewer that was closed earlier.
 
     Args:
-        arguments: further arguments of the viewer.
+        arguments: further arguments of the viewer's command.
         environment: environment variables in addition to those of this process.
     """
     exe = str(viewer_path())
     settings = run_dir() / "viewer"
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
-    # The analytics of the viewer can be disabled only by a file in its configuration folder.
+    # The collection of usage data can be disabled only by a file in the viewer's configuration
+    # folder.
     environ = os.environ | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"} | environment
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
     notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.ready` closes it)
     command = [exe, "--bind", LOOPBACK, "--port", "0", *arguments]
-    # In a session of its own the viewer is not interrupted by Ctrl-C in the terminal.
+    # The viewer gets a session of its own, so that Ctrl-C in the terminal does not interrupt it.
     process = subprocess.Popen(
         command,
         env=environ,
@@ -189,7 +190,8 @@ def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewe
 def launched_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[StartingViewer]:
     """Start a viewer with `launch_viewer`, for the duration of a context.
 
-    At the end of the context, the viewer is closed and its temporary files are deleted.
+    At the end of the context, the viewer is closed, and the temporary files of the viewer are
+    deleted.
     """
     with tempfile.TemporaryDirectory(prefix="handctl-viewer-", ignore_cleanup_errors=True) as scratch:
         launch = launch_viewer(arguments, {"TMPDIR": scratch} | environment)
@@ -207,15 +209,16 @@ def running_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Ite
 
 
 def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
-    """Wait for the viewer's address in its output, and return the address.
+    """Wait until the output of the viewer shows the address of the viewer, and return the address.
 
     Raises:
-        HandctlError: the viewer ended, or has not opened its port within `START_S`.
+        HandctlError: the viewer ended or has not opened its port within `START_S`.
     """
     remaining = START_S
     while remaining > 0:
         try:
-            # This wait for an early end is also the pause between two checks of the output.
+            # This call waits for an early end of the viewer. The wait is also the pause between two
+            # checks of its output.
             process.wait(0.05)
         except subprocess.TimeoutExpired:
             remaining -= 0.05

@@ -1,1 +1,1 @@
-"""Verbs that check files, machine, buses and drives before a run."""
+"""Commands that check files, the machine, buses and drives before a run."""

@@ -1,6 +1,6 @@
-"""Declaration of the arguments of these verbs.
+"""Declaration of the arguments of the commands in this folder.
 
-The code of a verb is imported only when the verb runs, so that the help appears fast.
+The code of a command is imported only when the command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -41,7 +41,7 @@ EXAMPLES = {
     ),
     "doctor": Example("handctl doctor"),
 }
-"""Example command for each verb and sub-verb."""
+"""Example command line for the help of each command and subcommand."""
 
 
 def config(parser: Parser) -> None:
@@ -110,12 +110,12 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
 
 
 def _parse_lengths(text: str) -> tuple[float, ...]:
-    """Return the lengths [mm] in a list such as ``40,30``."""
+    """Return the lengths [mm] that a list such as ``40,30`` gives."""
     return tuple(float(part) for part in text.split(","))
 
 
 def _declare_files(parser: argparse.ArgumentParser) -> None:
-    """Declare the options for the files of a hand."""
+    """Declare the options that name the files of a hand."""
     parser.add_argument("--task", type=Path, metavar="FILE", help="task file to check with the hand")
     add_gains_options(parser)
     text = "calibration file to check (default: HAND.calibration.toml)"
@@ -123,7 +123,10 @@ def _declare_files(parser: argparse.ArgumentParser) -> None:
 
 
 def bus(parser: Parser) -> None:
-    """Declare the arguments of ``bus``. ``watch`` polls the drives, and enables none."""
+    """Declare the arguments of ``bus``.
+
+    The subcommand ``watch`` polls the drives, but enables none.
+    """
     kinds = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor|up|watch")
     text = "compute the worst-case load of each bus of a hand, stuff bits included"
     plan = add_sub_verb(kinds, "plan", text, EXAMPLES["bus plan"])

@@ -1,6 +1,7 @@
-"""``handctl bus``: plan the bus load of a hand, check buses, or watch the readings on them.
+"""``handctl bus``: plan the bus load of a hand, check buses, set up interfaces, or watch the readings of a hand.
 
-Only the module of the sub-verb that runs is imported, because ``plan`` and ``watch`` need the controller.
+Only the module of the subcommand that runs is imported, because ``plan`` and ``watch`` need the
+controller's modules.
 """
 
 import argparse
@@ -8,6 +9,6 @@ import importlib
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the selected sub-verb and return its exit code."""
+    """Run the selected subcommand of ``bus``, and return the exit code."""
     done: int = importlib.import_module(f"handctl.cli.checks.bus_{args.what}").run(args)
     return done

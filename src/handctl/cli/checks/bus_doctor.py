@@ -1,4 +1,4 @@
-"""``handctl bus doctor``: check each bus from its interface to its nodes, with a command that repairs each finding."""
+"""``handctl bus doctor``: check each bus from interface to nodes, and print a repair for each bad finding."""
 
 import argparse
 from collections.abc import Sequence
@@ -31,17 +31,21 @@ from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
 NO_USB = Adapter()
-"""Value that stands for an interface without USB adapter."""
+"""Adapter of an interface that is not a USB adapter."""
 BUSY_HINT = "check the load of the computer and the latency timer of the adapter; handctl doctor checks the priorities"
 SLOW_ROUND_TRIP_S = 0.005
-"""Largest acceptable median round-trip time [s], equal to the period of 200 Hz."""
+"""Median round-trip time of a node above which a finding is bad [s].
+
+The limit is the period of a control rate of 200 Hz.
+"""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the buses of the command line. Returns 1 if a finding needs a repair.
+    """Check the buses of the command line. Return 1 if a finding needs a repair.
 
     Args:
-        args: arguments with hand (expected bit rates and motors, None for any), bus, bitrate, data_bitrate, json.
+        args: arguments with bus, bitrate, data_bitrate, json, and hand. The hand gives the expected
+            bit rates and motors. Without a hand, any are accepted.
     """
     hand = load_hand(args.hand) if args.hand else None
     if not args.bus:
@@ -56,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, BusSection]]:
-    """Return the specification of each bus, with the name and bit rates expected there."""
+    """Return each bus of the command line, with the expected name and bit rates."""
     if hand is not None:
         from handctl.session.plan import bus_specs
 
@@ -66,7 +70,7 @@ def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tup
 
 
 def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
-    """Return the JSON result of one bus: findings about the interface, and about the nodes if the interface works."""
+    """Return the result for one bus: findings about the interface and, if the interface works, about the nodes."""
     print_note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
     rows = _check_interface(channel, expected) if kind == "socketcan" else []
@@ -105,7 +109,10 @@ def _check_interface(channel: str, expected: BusSection) -> list[LinkFinding]:
 def _check_nodes(
     spec: str, expected: BusSection, hand: Hand | None
 ) -> tuple[list[LinkFinding], list[tuple[DiscoveredNode, RoundTrip]]]:
-    """Open the bus, scan for nodes, and measure their round-trip times."""
+    """Open a bus, scan for nodes, and measure the round-trip times.
+
+    Return the findings and the times.
+    """
     try:
         bus = open_bus(spec, 0, expected.bitrate, expected.data_bitrate)
     except BusError as error:
@@ -137,7 +144,7 @@ def _check_nodes(
 
 
 def _duplicate_nodes(result: Scan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
-    """Return the nodes whose number is used by more than one drive."""
+    """Return the nodes whose number more than one drive uses."""
     twice = [node for node, trip in trips if trip.twins]
     return [node for node in result.found if node.twins or node in twice]
 
@@ -147,7 +154,7 @@ def _measure_round_trips(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, R
 
 
 def _event_findings(result: Scan) -> list[LinkFinding]:
-    """Return one finding per kind of bus event during the scan."""
+    """Return one finding for each kind of bus event during the scan."""
     return [LinkFinding(f"during the scan: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
 
 
@@ -163,7 +170,7 @@ def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
 
 
 def _missing_motors(hand: Hand, bus: str, result: Scan) -> list[LinkFinding]:
-    """Return one finding per motor of the hand file that did not answer."""
+    """Return one finding for each motor of the hand file that did not answer on a bus."""
     there = {(node.protocol, node.node_id) for node in result.found}
     motors = [motor for motor in hand.motor if motor.bus == bus and (motor.protocol, motor.node_id) not in there]
     names = [(f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERIES) for motor in motors]

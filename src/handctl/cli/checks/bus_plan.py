@@ -1,4 +1,7 @@
-"""``handctl bus plan``: compute the worst-case load of each bus of a hand, and a split if a bus is overloaded."""
+"""``handctl bus plan``: compute the worst-case load of each bus of a hand.
+
+If a bus is overloaded, propose more buses.
+"""
 
 import argparse
 import math
@@ -17,9 +20,9 @@ from handctl.session.plan import bus_specs, highest_rate_of_buses
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute and print the bus load.
+    """Compute and print the load of each bus.
 
-    Returns 1 if a bus is overloaded or an interface has a wrong bit rate.
+    Return 1 if a bus is overloaded or an interface has a wrong bit rate.
     """
     if args.table:
         _print_table() if not args.json else print_json({"rows": [row.numbers() for row in TABLE]})
@@ -39,11 +42,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
-    """Return the load of each bus, and if a bus is overloaded, a split of the motors over more buses.
+    """Return the load of each bus. If a bus is overloaded, also return a division of the motors among more buses.
 
     Args:
         hand: description of the hand.
-        loads: worst-case load of each bus, in the hand's order.
+        loads: worst-case load of each bus, in the order of the hand file.
         rate: control rate [Hz].
     """
     fits = all(load.at(rate) <= MAX_BUS_LOAD for load in loads)
@@ -53,9 +56,9 @@ def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
 
 
 def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
-    """Return one line for each interface whose bit rate differs from the hand file.
+    """Return one line for each interface whose bit rate differs from the rate in the hand file.
 
-    Each line includes the command to correct this.
+    Each line includes the command that corrects the bit rate.
     """
     from handctl.runtime.buses.interface import wrong_rate
 

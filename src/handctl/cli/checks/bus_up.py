@@ -1,4 +1,4 @@
-"""``handctl bus up``: print or run the commands that set up the interfaces of a hand."""
+"""``handctl bus up``: print or run the system commands that set up the CAN interfaces of a hand."""
 
 import argparse
 import os
@@ -14,11 +14,11 @@ from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
 TIMEOUT_S = 10.0
-"""Longest time for a command [s]."""
+"""Longest time that one of the commands may take [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the commands of each interface, or run them as root."""
+    """Print the commands that set up each interface, or run them as root."""
     if not args.bus:
         raise ConfigError("missing", "--bus", "the interfaces, such as --bus socketcan:can0")
     commands = [command for spec, section in _bus_rates(args) for command in _commands_of_bus(spec, section)]
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
-    """Return each bus specification with its bit rates, from the hand file or the options."""
+    """Return each bus with the bit rates from the hand file or from the options."""
     if args.hand:
         from handctl.session.plan import bus_specs
 
@@ -47,10 +47,10 @@ def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
 
 
 def _commands_of_bus(spec: str, section: BusSection) -> tuple[Command, ...]:
-    """Return the commands of one bus.
+    """Return the commands that set up the interface of one bus.
 
     Raises:
-        BusError: the bus is not a SocketCAN interface, or a real interface does not exist.
+        BusError: the bus is not a SocketCAN interface or is a real interface that does not exist.
     """
     kind, _, channel = spec.partition(":")
     if kind != "socketcan":
@@ -67,7 +67,7 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[Command, ...]:
 
 
 def _check_root(commands: list[Command]) -> None:
-    """Raise an error for --yes without the permission to set up an interface.
+    """Raise an error if --yes is given without the permission to set up an interface.
 
     Raises:
         BusError: the user is not root.
@@ -82,7 +82,7 @@ def _check_root(commands: list[Command]) -> None:
 
 
 def _run_command(command: Command) -> None:
-    """Run one command.
+    """Run one command that sets up an interface.
 
     Raises:
         BusError: the command fails.

@@ -1,4 +1,4 @@
-"""``handctl bus watch``: show the readings of all drives and load cells of a hand, without torque."""
+"""``handctl bus watch``: show the readings of all drives and load cells of a hand, without enabling a drive."""
 
 import argparse
 import math
@@ -28,16 +28,19 @@ from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import bus_specs, chosen_time_scale, highest_rate_of_buses
 
 HIGHEST_HZ = 100.0
-"""Rate of the requests [Hz], if the bus load allows it."""
+"""Largest rate of the requests to the drives [Hz]. The bus load may allow only a lower rate."""
 EVERY_S = 0.1
-"""Time between two lines of JSON, or two pictures in a terminal [s]."""
+"""Time between two lines of JSON, or between two tables in a terminal [s]."""
 EVERY_LINE_S = 1.0
-"""Time between two tables in a pipe or file [s]."""
+"""Time between two tables that go to a pipe or file [s]."""
 MAX_WATCH_S = 86400.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the readings until Ctrl-C, or for a time. Returns 1 if a drive does not reply at the end."""
+    """Show the readings until Ctrl-C or for a given time.
+
+    Return 1 if a drive does not reply at the end.
+    """
     specs, hand, time_scale = _checked_arguments(args)
     drives = make_drives(hand)
     clock = RealClock(round(1e9 / min(HIGHEST_HZ, highest_rate_of_buses(bus_loads(hand)))), time_scale)
@@ -70,10 +73,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand, float]:
-    """Return the specification of each bus, the hand, and the time scale.
+    """Return the buses, the hand and the time scale that the command line gives.
 
     Raises:
-        ConfigError: an argument is missing or out of range, or no hand is named on a real bus.
+        ConfigError: an argument is missing or out of range, or the bus is real and no hand is
+            named.
     """
     if not args.bus:
         raise ConfigError("missing", "--bus", "the bus of the hand, such as --bus socketcan:can0")
@@ -87,7 +91,7 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
 
 
 def _show_readings(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag) -> None:
-    """Run the ticks, and show the readings at intervals and at the end."""
+    """Poll the drives in every tick, and show the readings at intervals and at the end."""
     begin = time.monotonic()
     end = begin + (math.inf if args.duration is None else args.duration)
     in_place = sys.stdout.isatty() and not args.json
@@ -115,7 +119,10 @@ def _show_readings(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended:
 
 
 def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
-    """Return all readings of the present moment. A reading older than ``STALE_S`` is NaN."""
+    """Return the present readings of all drives and load cells.
+
+    A reading older than ``STALE_S`` is NaN.
+    """
     now = watch.clock.now_ns()
     rows = zip(hand.tendon_names, watch.drives, watch.states, watch.ages_s(now), strict=True)
     tensions = {hand.tendon_names[index]: reading.at(now) for index, reading in watch.tensions.items()}
@@ -133,7 +140,10 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
 
 
 def _drive_fields(hand: Hand, tendon: str, drive: Drive, state: DriveState, age_s: float) -> dict[str, Any]:
-    """Return the readings of a drive. Position and velocity are at the spool, and positive winds."""
+    """Return the readings of a drive. Position and velocity are those of the spool.
+
+    Positive values wind the tendon up.
+    """
     motor = hand.motor_of(tendon)
     values = (state.position, state.velocity, state.torque, state.temperature)
     shown = values if age_s <= STALE_S else (math.nan,) * len(values)
@@ -146,7 +156,7 @@ def _drive_fields(hand: Hand, tendon: str, drive: Drive, state: DriveState, age_
 
 
 def _table(readings: dict[str, Any]) -> Any:
-    """Return the readings as a table with one row for each drive."""
+    """Return the readings of a hand as a table with one row for each drive."""
     from rich.table import Table
 
     cells = {row["tendon"]: row for row in readings["load_cells"]}
@@ -168,5 +178,5 @@ def _table(readings: dict[str, Any]) -> Any:
 
 
 def _number(value: float, digits: int) -> str:
-    """Return a number as text, ``-`` without a reading."""
+    """Return a reading as text, or ``-`` if there is no reading."""
     return "-" if math.isnan(value) else f"{value + 0.0:.{digits}f}"

@@ -1,4 +1,4 @@
-"""``handctl config``: show a hand with its derived values, check its files, or export it for other tools."""
+"""``handctl config``: show a hand with derived values, check the files of a hand, or export a hand for other tools."""
 
 import argparse
 from collections.abc import Callable
@@ -45,7 +45,7 @@ from handctl.session.tasks import TASKS, find_task, task_path
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the selected sub-verb and return its exit code."""
+    """Run the selected subcommand of ``config``, and return the exit code."""
     if args.what == "list":
         return _list_packaged(args.json)
     if args.what == "init":
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _all_errors(args: argparse.Namespace) -> list[str]:
-    """Return all errors of a hand and its files, one line each."""
+    """Return one line for each error in a hand file and in the other files of the hand."""
     path = hand_path(args.hand)
     hand, mistakes, origins = inspect_content(read_toml(path))
     if hand is not None:
@@ -87,32 +87,35 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
             placed = with_paths_of_file([Mistake(error.what, error.where, error.right)], origins)
             errors.append(placed[0].error(str(path)) if in_hand else error)
     places = [error.where for error in errors]
-    # An error of a later check at the same key is a consequence.
+    # A later error at the same key is a consequence of the first one.
     return [str(error) for i, error in enumerate(errors) if error.where not in places[:i]]
 
 
 def _checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
-    """Return the checks of a valid hand and its files. Each raises a ConfigError."""
+    """Return the checks of a valid hand and of the other files of this hand.
+
+    Each check raises a ConfigError for an error.
+    """
     buses = hand.bus_names
 
     def task() -> None:
-        """Check the task, or the one of a demo without a task."""
+        """Check the given task, or the default task of the demo."""
         find_task(args.task, hand)
 
     def calibration() -> None:
-        """Check the calibration file named by the user."""
+        """Check the calibration file that the user has named."""
         if args.calibration and not args.calibration.exists():
             raise ConfigError("no such file", str(args.calibration), "a calibration to check")
         find_calibration(args, hand)
 
     def design() -> None:
-        """Check that the gains lead to a valid design at the control rate."""
+        """Check that the gains lead to a valid design of the controller at the control rate."""
         check_design(hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand)))
 
     def scene() -> None:
-        """Check that the simulated hand can be built with the scene, if there is one."""
+        """Check that the hand can be simulated in the given scene, if a scene is given."""
         if args.scene:
-            # No other check needs the simulated hand.
+            # No other check needs this import of the simulated hand.
             from handctl.session.simulate import Simulator
 
             Simulator(hand, args.scene).check()
@@ -122,7 +125,7 @@ def _checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
 
 
 def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
-    """Print all errors, one line each."""
+    """Print one line for each error, and return the exit code."""
     if args.json:
         print_json({"file": hand_path(args.hand).name, "errors": errors})
     for error in errors:
@@ -131,7 +134,7 @@ def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
 
 
 def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
-    """Print or draw the structure of a hand."""
+    """Print the structure of a hand as text, or draw a picture of the structure."""
     from handctl.report.hand_graph import draw_hand, text_graph
 
     if not args.graph:
@@ -151,7 +154,7 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
-    """Show or check a hand with its files."""
+    """Show a hand with derived values and files, or check the hand."""
     layers = layered_gains(args, hand)
     if args.task:
         find_task(args.task, hand)
@@ -200,18 +203,21 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _warnings(hand: Hand) -> list[str]:
-    """Return all warnings about a hand, one line each."""
+    """Return one line for each warning about a hand."""
     return [*strength_warnings(hand), *sensing_warnings(hand), *grasp_warnings(hand)]
 
 
 def _gains_with_sources(layers: LayeredGains) -> list[str]:
-    """Return every gain with its origin as TOML comments, because gains belong in a separate file."""
+    """Return every gain and the origin of each as TOML comments.
+
+    The gains are comments because gains belong in a separate file.
+    """
     values = values_by_key(layers.gains)
     return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
 
 
 def _calibration_fields(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
-    """Return the calibration that a run would use (or the reason for none), with its identified parameters."""
+    """Return the calibration that a run would use, with identified parameters, or the reason for having none."""
     path, calibration, reason = find_calibration(args, hand)
     if calibration is None:
         return {"file": str(path), "problem": reason, "made": None, "identified": {}}
@@ -238,7 +244,7 @@ def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
 
 
 def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
-    """Write a hand in a format for other tools."""
+    """Write a description of a hand in the format of other tools."""
     if args.dbc:
         return _export_buses(args, hand)
     if not (args.urdf or args.mjcf):
@@ -254,7 +260,10 @@ def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
-    """Write a DBC file for each bus. With several buses, each file name contains the name of its bus."""
+    """Write a DBC file for each bus of a hand.
+
+    For several buses, each file name contains the name of the bus.
+    """
     output = args.output or Path(f"{hand.name}.dbc")
     drives = make_drives(hand)
     sensors = make_sensors(hand)
@@ -287,7 +296,7 @@ def _write_schema(args: argparse.Namespace) -> int:
 
 
 def _convert_file(args: argparse.Namespace) -> int:
-    """Convert a hand file of schema 1 to schema 2, and write the result."""
+    """Convert a hand file of schema 1 to schema 2, and write the new hand file."""
     from handctl.hand.file.convert import convert_to_schema_2  # only this verb needs tomlkit
 
     hand = load_hand(args.old)

@@ -30,11 +30,11 @@ from handctl.hand.load import inspect_content, parse_toml
 from handctl.session.model_file import read_model_file
 
 OPTIONS_WITHOUT_DESCRIPTION = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
-"""Options that cannot be combined with a robot description, which contains their values."""
+"""Options that cannot be combined with a robot description, because the description contains these values."""
 NODE_NUMBERS = range(1, 128)
 """Valid node numbers."""
 READ_ALL_OR_NONE = one_of(("all", "none"))
-"""Reader of an answer about all tendons or joints."""
+"""Function that reads the answer ``all`` or ``none`` to a question about all tendons or joints."""
 QUESTIONS = (
     *TENDON_QUESTIONS,
     Question("cells", "Load cells at the tendons (all, none)", READ_ALL_OR_NONE, "all or none"),
@@ -43,11 +43,14 @@ QUESTIONS = (
     Question("protocol", f"Protocol of the drives ({', '.join(GUARDED)})", one_of(GUARDED), ", ".join(GUARDED)),
     Question("first_node", "Node number of the first drive of a bus", int, "a whole number"),
 )
-"""All questions, in order. An empty answer leaves the value marked as missing."""
+"""All questions about what a robot description lacks, in order.
+
+After an empty answer, the hand file marks the value as missing.
+"""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read the description, ask what it lacks, and write the hand file and its schema."""
+    """Read a robot description, ask for missing values, and write the hand file and the JSON Schema of hand files."""
     kind = "urdf" if args.urdf else "mjcf"
     for option in OPTIONS_WITHOUT_DESCRIPTION:
         if getattr(args, option) is not None:
@@ -81,18 +84,18 @@ def run(args: argparse.Namespace) -> int:
 
 
 def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Described, list[str]]:
-    """Read a robot description.
+    """Read a robot description, and return the described hand.
 
     Args:
-        path: the file.
+        path: file of the description.
         kind: ``urdf`` or ``mjcf``.
         output: folder of the hand file, to which the paths of meshes are relative.
 
     Returns:
-        The hand, and one line for each part of the file that was not read.
+        the hand, and one line for each part of the file that was not used.
 
     Raises:
-        ConfigError: the file is unreadable, or describes no tree of hinges with inertia.
+        ConfigError: the file cannot be read or does not describe a tree of hinges with inertia.
     """
     model = read_model_file(path, kind)
     notes = list(model["notes"])
@@ -114,7 +117,10 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
 
 
 def _mesh_of(link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes: list[str]) -> ModelMesh | None:
-    """Return the largest mesh of a link that can be shown, None without, and add a line for each other one."""
+    """Return the largest usable mesh of a link, or None.
+
+    Add a line to ``notes`` for each mesh that is left out.
+    """
     sizes: dict[int, float] = {}
     for i, mesh in enumerate(meshes):
         try:
@@ -132,7 +138,7 @@ def _mesh_of(link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes
 
 
 def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
-    """Ask the questions not answered by options or by the description."""
+    """Ask the questions that neither the options nor the description answer."""
     check_terminal()
     for question in QUESTIONS:
         if getattr(answers, question.field) is None and question.field not in known:
@@ -141,7 +147,9 @@ def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
 
 
 def _check_answers(answers: TendonAnswers) -> None:
-    """Refuse answers that make no hand file. All further limits are those of a hand file.
+    """Raise an error for answers with which no hand file can be written.
+
+    The check of the hand file finds other mistakes.
 
     Raises:
         ConfigError: a name or a node number is wrong.
@@ -153,5 +161,5 @@ def _check_answers(answers: TendonAnswers) -> None:
 
 
 def _unexpected_mistakes(mistakes: Iterable[Mistake], missing: list[Mistake], output: Path) -> list[str]:
-    """Return the mistakes in the new file that are no missing values, one line each."""
+    """Return one line for each mistake in the new hand file, except missing values."""
     return [str(mistake.error(str(output))) for mistake in mistakes if mistake not in missing]

@@ -20,7 +20,7 @@ from handctl.programs.default_task import grasp_warnings
 
 
 def lengths(text: str) -> tuple[float, ...]:
-    """Return the lengths [mm] in a list such as ``40,30``."""
+    """Return the lengths [mm] that a list such as ``40,30`` gives."""
     return tuple(float(part) for part in text.replace(",", " ").split())
 
 
@@ -33,15 +33,18 @@ QUESTIONS = (
     Question("palm_mm", "Distance between the two sides of the palm [mm]", float, "a number"),
     *TENDON_QUESTIONS,
 )
-"""All questions, in order. A question is skipped if an option answers it."""
+"""All questions about a new hand, in order. A question that an option answers is skipped."""
 OPTIONS_WITH_DESCRIPTION = ("cells", "encoders", "springs", "first_node")
-"""Options for a hand that is imported from a robot description."""
+"""Options that are valid only for a hand imported from a robot description."""
 PROPORTIONAL_DEFAULT = {"palm_mm": "palm", "pulley_mm": "pulley"}
-"""Attribute with the default of a field in proportion to other answers."""
+"""Attribute of the answers that gives the default of a field.
+
+The default is proportional to other answers.
+"""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask the questions not answered by options, and write the hand file and its schema."""
+    """Ask the questions that no option answers, and write the hand file and the JSON Schema of hand files."""
     if args.urdf or args.mjcf:
         from handctl.cli.checks.config_import import run as from_description
 
@@ -73,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswers:
-    """Ask the questions not answered by options. An empty answer selects the default.
+    """Ask the questions that no option answers. An empty answer selects the default.
 
     Raises:
         ConfigError: standard input is not a terminal, so no operator can answer.

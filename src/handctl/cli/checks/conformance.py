@@ -1,4 +1,7 @@
-"""``handctl conformance``: check that a real drive behaves as handctl requires, below a given torque."""
+"""``handctl conformance``: check that a real drive behaves as handctl requires.
+
+The torque stays below a given limit.
+"""
 
 import argparse
 import math
@@ -40,9 +43,9 @@ VERDICT_WORDS = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the checks.
+    """Run the checks of a drive, and return the exit code.
 
-    Returns 1 if a check failed, 71 if the drive does not confirm that it is disabled.
+    The exit code is 1 if a check failed, and 71 if the drive does not confirm that it is disabled.
     """
     options = parse_options(args.option)
     if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= MAX_TORQUE_N_M):
@@ -82,9 +85,9 @@ def _dry_run(args: argparse.Namespace) -> int:
 
 
 def _run_checks(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[ConformanceCheck], bool]:
-    """Run the checks, disable the drive, and restore its torque range.
+    """Run the checks of a drive, disable the drive, and restore the torque range of the drive.
 
-    Returns the checks, and True if the drive is disabled.
+    Return the results of the checks, and True if the drive has confirmed that it is disabled.
     """
     results: list[ConformanceCheck] = []
     with open_rig(args, drive) as (rig, bus):

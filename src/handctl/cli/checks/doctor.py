@@ -1,4 +1,4 @@
-"""``handctl doctor``: check the permissions and devices of this machine, with a command that repairs each finding."""
+"""``handctl doctor``: check the permissions and devices of this machine, and print a repair for each bad finding."""
 
 import argparse
 import platform
@@ -19,15 +19,21 @@ from handctl.runtime.paths import run_dir
 from handctl.session.exit_codes import ExitCode
 
 WATCH_S = 1.0
-"""Time in which wake-ups are measured [s]."""
+"""Time for which the lateness of wake-ups is measured [s]."""
 SLEEP_S = 0.001
-"""Time between two wake-ups [s]."""
+"""Time that the measuring process sleeps before each wake-up [s]."""
 MAX_LATE_S = 0.002
-"""Largest lateness of a good machine [s], one tick at 500 Hz."""
+"""Lateness of a wake-up above which the machine is not good enough [s].
+
+The limit is one tick at 500 Hz.
+"""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check priority, CAN, viewer, and disk space. Returns 1 if a finding needs a repair."""
+    """Check priority, CAN, viewer and disk space of this machine.
+
+    Return 1 if a finding needs a repair.
+    """
     findings = [
         _check_priority(),
         _check_memory(),
@@ -47,7 +53,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_findings(findings: Sequence["Finding"]) -> None:
-    """Print the findings. ``--quiet`` omits good findings, ``--verbose`` adds versions."""
+    """Print the findings.
+
+    With ``--quiet``, good findings are left out. With ``--verbose``, versions are added.
+    """
     for what, good, fix in findings:
         if not (good and is_quiet()):
             print(f"{'ok ' if good else '-- '} {what}" + ("" if good else f"\n      {fix}"))
@@ -60,7 +69,7 @@ Finding = tuple[str, bool, str]
 
 
 def _version_fields() -> dict[str, object]:
-    """Return data for a bug report: versions, system, installed extras."""
+    """Return data for a bug report: versions, operating system, installed extras."""
     return {
         "version": version("handctl"),
         "python": platform.python_version(),
@@ -79,7 +88,7 @@ def _extras() -> Finding:
 
 
 def _granted_priority() -> Priority:
-    """Return the priority granted by the system. The priority is requested and then released."""
+    """Request and release real-time priority, and return the priority that the system granted."""
     granted = take_priority()
     restore_priority()
     return granted
@@ -104,7 +113,7 @@ def _check_memory() -> Finding:
 
 
 def _check_wakeups() -> Finding:
-    """Check how late a sleeping control process would be woken, and if a hypervisor takes the processor away."""
+    """Check how late the system wakes a sleeping control process, and whether a hypervisor takes the processor away."""
     begin, ticks = time.monotonic(), _processor_ticks()
     latest = 0.0
     with realtime_priority():
@@ -122,10 +131,10 @@ def _check_wakeups() -> Finding:
 
 
 def _processor_ticks() -> tuple[int, int]:
-    """Return the time of all cores since the start, and the part that a hypervisor gave to other machines.
+    """Return the time of all cores since system start, and the part that a hypervisor gave to other machines.
 
-    The unit is the clock tick of the kernel. The part is the field ``steal`` of ``/proc/stat`` (Linux
-    ``proc_stat(5)``). Both are 0 on other systems.
+    The unit is the clock tick of the kernel. The part given away is the field ``steal`` of
+    ``/proc/stat`` (Linux ``proc_stat(5)``). On systems other than Linux, both times are 0.
     """
     try:
         first_line = Path("/proc/stat").read_text().splitlines()[0]

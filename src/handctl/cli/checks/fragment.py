@@ -1,4 +1,7 @@
-"""Fragment of a hand file for scanned drives: reported values, and values that the user must measure."""
+"""Fragment of a hand file for drives that a scan has found.
+
+Values that the drives report are filled in. Values that the user must measure are marked.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,7 +10,7 @@ from handctl.drives.registry import PROTOCOLS
 from handctl.hand.file.sections import CIA404
 
 Entry = tuple[str, object, str]
-"""Key, value and comment of a line in TOML."""
+"""Key, value and comment of a line in the fragment."""
 TO_FILL_IN = "yours: "
 MAX_TORQUE_N_M = 50.0
 """Largest torque allowed in a hand file [N m]."""
@@ -16,10 +19,10 @@ ENCODER_COUNTS = 65536
 
 
 def hand_file_snippet(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_bitrate: int | None) -> str:
-    """Return the ``[[bus]]`` and ``[[motor]]`` sections of the scanned drives.
+    """Return the ``[[bus]]`` and ``[[motor]]`` sections of a hand file for the scanned drives.
 
     Args:
-        buses: drives by the name of their bus.
+        buses: drives found on each bus, by name of the bus.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None.
     """
@@ -41,7 +44,7 @@ def hand_file_snippet(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: in
 
 
 def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[str]:
-    """Return the section of load cells on the measuring amplifiers of a bus."""
+    """Return the section of a hand file for the load cells on the measuring amplifiers of a bus."""
     channels = min(int(node.options.get("channels_per_node", 1)) for node in amplifiers)
     entries: list[Entry] = [
         ("protocol", CIA404, ""),

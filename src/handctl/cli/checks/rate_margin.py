@@ -1,4 +1,4 @@
-"""Warning about a control rate at which a hand may oscillate, although its buses carry the frames."""
+"""Warning about a control rate at which a hand may oscillate, although the buses can carry all frames."""
 
 from handctl.controller.bus_load import split_motors_over_buses
 from handctl.core.gains.gains import Gains
@@ -6,14 +6,17 @@ from handctl.core.model import HandModel
 from handctl.hand.description import Hand
 
 SAFE_HZ = 250.0
-"""Lowest control rate without this check [Hz]. All packaged hands and the hands of ``config init`` run at this rate."""
+"""Control rate from which on a hand is not checked [Hz].
+
+All packaged hands and the hands of ``config init`` run at this rate.
+"""
 
 
 def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
-    """Return a warning if the gain margin of a motion loop is too small at a control rate.
+    """Return a warning if the gain margin of a tendon's motion loop is too small at a control rate.
 
-    The bus load determines the control rate. At low rates, tensions of fingers with light links
-    oscillate, and a run ends with N14b or T03.
+    The bus load determines the control rate. At low rates, the tensions of fingers with light links
+    oscillate, and a run ends with the fault N14b or T03.
 
     Args:
         hand: description of the hand.
@@ -22,7 +25,7 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """
     if rate_hz >= SAFE_HZ:
         return []
-    # The loops are those of the compiled core. No other check needs the core.
+    # The loops are computed by the compiled core. No other check of a hand needs this import.
     from handctl.tune.loops.linear import LoopKind, open_loop
     from handctl.tune.loops.margins import GAIN_MARGIN_DB, margins_of_loop
 

@@ -1,4 +1,4 @@
-"""``handctl scan``: find the nodes on a bus without motion, and print a fragment of a hand file."""
+"""``handctl scan``: find the nodes on a bus without moving a motor, and print a fragment of a hand file."""
 
 import argparse
 import dataclasses
@@ -18,12 +18,12 @@ from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
 MAX_FOREIGN_FRAMES = 8
-"""Largest number of another host's frames in the output."""
+"""Largest number of frames from another host that the output shows."""
 MILLI = 1e-3
 
 
 def run(args: argparse.Namespace) -> int:
-    """Scan each bus. Returns 1 if no node was found."""
+    """Scan each bus of the command line. Return 1 if no node was found."""
     buses = named_buses(args.bus)
     if args.dry_run:
         return _print_requests(args.json)
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def add_identities(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
-    """Return the nodes. CANopen nodes include the identity that they report over SDO."""
+    """Return the found nodes. CANopen nodes get the identity that each reports over SDO."""
     canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
     if not canopen_ids:
         return nodes
@@ -100,7 +100,7 @@ def _scan_fields(name: str, spec: str, result: Scan) -> dict[str, Any]:
 
 
 def _frame_text(frame: Frame) -> str:
-    """Return a frame as text in candump notation."""
+    """Return a CAN frame as text in the notation of candump."""
     return f"{frame.can_id & 0x1FFFFFFF:03X}#" + ("R" if frame.can_id & REMOTE else frame.data.hex().upper())
 
 
@@ -122,7 +122,7 @@ def _print_scans(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> N
 
 
 def undiscoverable_protocols_text() -> str:
-    """Return a line about protocols whose drives a scan cannot find."""
+    """Return a line that lists the protocols whose drives a scan cannot find."""
     return f"not searched for: {', '.join(PROTOCOLS_WITHOUT_DISCOVERY)}, whose drives answer only to commands"
 
 

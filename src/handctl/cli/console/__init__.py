@@ -1,1 +1,1 @@
-"""Parts common to all verbs: options, output, display, and questions to the operator."""
+"""Parts that all commands share: options, output, display, and questions to the operator."""

@@ -1,4 +1,4 @@
-"""One drive on a bench, without a hand file: its options, its look-up by a scan, its description, and its ticks."""
+"""Single drive on a bench, without a hand file: options, search by a scan, description, and ticks."""
 
 import argparse
 import dataclasses
@@ -28,29 +28,32 @@ from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import Scan, receive_for, scan_bus
 
 NOT_OFF_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
-"""Message for a drive that may still make torque."""
+"""Message about a drive that may still make torque."""
 WATCHDOG_MS = 100
-"""Watchdog time of the drive [ms], longer than the delays of a desktop without real-time priority."""
+"""Watchdog time of the drive [ms].
+
+A desktop computer without real-time priority has shorter delays.
+"""
 MAX_TORQUE_N_M = 50.0
-"""Largest torque allowed in a hand file [N m]."""
+"""Largest torque that a hand file allows [N m]."""
 BENCH_OPTIONS: dict[str, dict[str, Any]] = {
     "odrive": {"torque_feedback": True},
     "cia402": {"sync": True},
 }
-"""Options for a single drive on a bench, because no other host sends SYNC there."""
+"""Options for a single drive on a bench, by protocol. No other host sends SYNC there."""
 TEXT_VALUED_OPTIONS = ("firmware", "motor_type")
-"""Options whose value is text even if the text looks like a number, such as firmware=0.5."""
+"""Options whose value is always text, even if the text looks like a number, as in firmware=0.5."""
 UNQUOTED_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
-"""Pattern for text that needs no quotes."""
+"""Pattern for an option's text that needs no quotes."""
 ASSUMED_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """Defaults for options that a CiA 402 drive may not report.
 
-The read-back refuses a wrong rated torque.
+The read-back of the drive's settings refuses a wrong rated torque.
 """
 
 
 def parse_options(words: list[str]) -> dict[str, Any]:
-    """Return the options in KEY=VALUE words, whose values are TOML. Quotes of a text may be omitted.
+    """Return the options that KEY=VALUE words give. The values are TOML, in which the quotes of a text may be omitted.
 
     Raises:
         ConfigError: a word is not TOML.
@@ -86,16 +89,16 @@ def describe_drive(
     node: DiscoveredNode | None,
     make: Callable[[Motor], Drive] = _torque_drive,
 ) -> Drive:
-    """Return the drive with the values that it reported. Values on the command line override these.
+    """Return the drive with the values reported by the drive. Values on the command line take precedence.
 
     Args:
         args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
-        options: options of the command line.
-        node: the drive as found by a scan, None before.
-        make: constructor of the drive.
+        options: options of the drive on the command line.
+        node: the drive found by a scan, or None before the scan.
+        make: function that constructs the drive of a motor.
 
     Raises:
-        ConfigError: the protocol has no such option, or its node cannot have this number.
+        ConfigError: the protocol does not have the option, or does not allow the node number.
     """
     reported: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
@@ -133,7 +136,7 @@ def _bench_options(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def find_drive(args: argparse.Namespace) -> DiscoveredNode:
-    """Return the drive found by a scan.
+    """Scan the bus for the drive that the command line names, and return the found drive.
 
     Raises:
         BusError: another host controls the bus.
@@ -162,11 +165,11 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
 
 
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> Scan:
-    """Return a scan result for a drive that answers only commands.
+    """Return a scan result for a drive that answers only to commands, not to a scan.
 
-    A received frame with its identifier comes from another host.
+    The function only listens. A frame with the drive's identifier must come from another host.
 
-    The first check shows whether the drive is present.
+    Only the first check after the scan shows whether the drive is present.
     """
     seen: list[Frame] = []
     receive_for(bus, LISTEN_S, seen)
@@ -175,9 +178,9 @@ def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> Scan:
 
 
 def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
-    """Return the drive with its original torque range.
+    """Return a drive with the original torque range.
 
-    For an MIT motor, this range scales every torque.
+    In the MIT protocol, this range scales every torque.
     """
     if isinstance(drive, MitDrive) and "torque_max_N_m" in node.settings:
         ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])
@@ -187,11 +190,13 @@ def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
 
 @contextmanager
 def open_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
-    """Open the bus, and yield the drive on it, and the bus. Ticks have real-time priority where that is allowed.
+    """Open the bus of a drive, and yield the rig with the drive, and the bus.
+
+    Where allowed, ticks have real-time priority.
 
     Args:
-        args: arguments with ``bus`` and its bit rates.
-        drive: the drive.
+        args: arguments with ``bus`` and the bit rates of the bus.
+        drive: drive on the bus.
     """
     clock = RealClock(PERIOD_NS)
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)

@@ -1,4 +1,4 @@
-"""Bus of a running controller, from a command line."""
+"""Bus by which a command line identifies a running controller."""
 
 import argparse
 
@@ -6,5 +6,5 @@ from handctl.session.buses import named_buses
 
 
 def controller_bus(args: argparse.Namespace) -> str:
-    """Return the bus that identifies a running controller: the first bus, without its name in the hand file."""
+    """Return the bus that identifies a running controller: the first bus given, without the name from the hand file."""
     return next(iter(named_buses(args.bus).values()))

@@ -1,8 +1,9 @@
-"""Display of a running hand, drawn by a separate process from lines of JSON.
+"""Display of a running hand. A separate process draws the display from lines of JSON.
 
-The controller writes a short line every tenth of a second to a pipe that never blocks. If the display process is slow,
-lines are lost and the control is not disturbed. In a terminal the state is drawn in place. Otherwise the display prints
-one plain line per second.
+The controller writes a short line every tenth of a second to a pipe that never blocks. If the
+display process is slow, lines are lost, but the controller is not disturbed. In a terminal, the
+display redraws the state in place. Without a terminal, the display prints one plain line per
+second.
 """
 
 import json
@@ -22,10 +23,10 @@ from handctl.safety.faults.table import remedy_for
 
 EVERY_S = 0.1
 STDERR = 2
-"""File descriptor for the display, because standard output is for results."""
+"""File descriptor to which the display prints. Standard output is reserved for results."""
 ONE_SECOND_NS = 1_000_000_000
 MAX_COLUMNS = 120
-"""Longest plain line [characters]."""
+"""Length of the longest plain line [characters]."""
 NO_BREAK = "\u00a0"
 
 
@@ -33,12 +34,12 @@ class DisplayProcess:
     """Controller's end of the pipe to the display process.
 
     Attributes:
-        every: number of ticks between two lines.
+        every: number of ticks between two lines of JSON.
         child: display process.
-        pipe: file descriptor of the pipe.
-        worst_late_ns: largest lateness since the last line [ns].
+        pipe: file descriptor of the pipe to the display process.
+        worst_late_ns: largest lateness of a tick since the last line [ns].
         last_warning_ns: time of the last printed warning of each fault id [ns].
-        shown: remedies already printed.
+        shown: remedies for faults that have been printed already.
     """
 
     def __init__(self, names: tuple[str, ...], ceiling: tuple[float, ...], rate_hz: float, load: float) -> None:
@@ -48,7 +49,7 @@ class DisplayProcess:
             names: names of the tendons.
             ceiling: tension limit of each tendon [N].
             rate_hz: control rate [Hz].
-            load: worst-case bus load, 0 to 1.
+            load: worst-case bus load, from 0 to 1.
         """
         self.every = max(1, round(EVERY_S * rate_hz))
         head = {"names": names, "ceiling": ceiling, "rate_hz": rate_hz, "load": load}
@@ -68,11 +69,11 @@ class DisplayProcess:
 
     @staticmethod
     def start(hand: Hand, rate_hz: float, load: float) -> "DisplayProcess":
-        """Return the started display of a run."""
+        """Start the display of a run, and return the controller's end of the pipe to the display."""
         return DisplayProcess(hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load)
 
     def show(self, entry: TickIn, out: TickOut) -> None:
-        """Send a line every ``EVERY_S``, and immediately after an event."""
+        """Send a line about the tick to the display, if ``EVERY_S`` has passed or if the tick has an event."""
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
         if entry.k % self.every and not out.events:
             return
@@ -93,9 +94,9 @@ class DisplayProcess:
         self._write_line(line)
 
     def _is_due(self, t_ns: int, event: Event) -> bool:
-        """Return True if an event is to be printed.
+        """Return True if the display shall print an event.
 
-        A repeated warning is printed once per second. The log contains every event.
+        A warning that repeats is printed at most once per second. The log contains every event.
         """
         if event.level == "error" or event.name != "fault":
             return True
@@ -106,9 +107,10 @@ class DisplayProcess:
         return news
 
     def _event_text(self, event: Event) -> str:
-        """Return the text of an event.
+        """Return the text that the display prints for an event.
 
-        At the first event of a fault, a second line has the remedy. A changed gain is printed with its key.
+        When a fault is first reported, a second line has the remedy. A changed gain is printed with
+        the key of the gain.
         """
         if event.name == GAIN_EVENT:
             return f"{event.where} = {event.text}"
@@ -125,7 +127,7 @@ class DisplayProcess:
             return
 
     def close(self) -> None:
-        """Close the pipe and wait until the display has printed its last line, at most 2 s."""
+        """Close the pipe, and wait at most 2 s until the display has printed the last line."""
         assert self.child.stdin is not None
         self.child.stdin.close()
         try:
@@ -140,7 +142,7 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 
 def _print_lines(head: dict[str, Any]) -> None:
-    """Print one line per second, and each event."""
+    """Print one line about the state per second, and each event."""
     last = -1.0
     for text in sys.stdin:
         line = json.loads(text)
@@ -152,17 +154,20 @@ def _print_lines(head: dict[str, Any]) -> None:
 
 
 def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
-    """Return the state and the tensions of a hand. Those of many tendons continue below each other."""
+    """Return the state and the tensions of a hand as text.
+
+    The tensions of many tendons fill several lines.
+    """
     start = f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  "
     pairs = zip(short_names(names), line["tension"], strict=True)
-    # No line ends at a no-break space, so that a name and its value stay together.
+    # A no-break space keeps the name of a tendon and its value on the same line.
     text = "  ".join(f"{name}{NO_BREAK}{f:.1f}" for name, f in pairs)
     rows = textwrap.fill(text, MAX_COLUMNS, initial_indent=start, subsequent_indent=" " * len(start))
     return rows.replace(NO_BREAK, " ")
 
 
 def _draw_in_place(head: dict[str, Any]) -> None:
-    """Draw the state in place in the terminal, with rich."""
+    """Draw the state of the hand in place in the terminal, with the package rich."""
     from rich.live import Live
 
     console = rich_console()

@@ -1,4 +1,4 @@
-"""Report of a dry run, equal for every verb that runs a controller."""
+"""Report of a dry run, the same for every command with a controller."""
 
 import argparse
 from typing import Any
@@ -9,12 +9,12 @@ from handctl.session.plan import Plan, check_design
 
 
 def report_dry_run(args: argparse.Namespace, plan: Plan, *lines: str, **fields: Any) -> int:
-    """Check the design of the gains, and report the run that would be executed.
+    """Check that the gains give a valid design, and report the planned run.
 
     Args:
         args: arguments with ``json``.
-        plan: checked plan.
-        lines: lines for the operator.
+        plan: checked plan of the run.
+        lines: lines about the run for the operator.
         fields: further fields of the JSON result.
 
     Raises:

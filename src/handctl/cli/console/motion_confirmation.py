@@ -1,4 +1,4 @@
-"""Notice about the files in use, and confirmation by the operator before a hand moves."""
+"""Notice about the files that a run uses, and confirmation by the operator before a hand moves."""
 
 import argparse
 import datetime
@@ -22,7 +22,7 @@ DAY_S = 86400.0
 
 
 def announce_motion(args: argparse.Namespace, plan: Plan, path: Path, calibration: Calibration | None) -> None:
-    """Print the files in use, then on a real bus ask the operator once if the hand may move.
+    """Print the files that a run uses. On a real bus, then ask the operator whether the hand may move.
 
     Args:
         args: arguments with ``yes``, ``gains`` and ``calibration``.
@@ -31,7 +31,8 @@ def announce_motion(args: argparse.Namespace, plan: Plan, path: Path, calibratio
         calibration: content of the calibration file, or None if the hand is commissioned first.
 
     Raises:
-        ConfigError: no operator is at the terminal, or the operator refuses the motion.
+        ConfigError: there is no terminal at which to ask the operator, or the operator refuses the
+            motion.
     """
     files = []
     gains = Path(f"{plan.hand.name}.gains.toml")
@@ -50,9 +51,10 @@ def announce_motion(args: argparse.Namespace, plan: Plan, path: Path, calibratio
 
 
 def _file_text(what: str, path: Path, made: str) -> str:
-    """Return kind, path, and age of a file as text.
+    """Return kind, path and age of a file as one text.
 
-    If the file contains no date, its modification time is used.
+    The age counts from the date in the file. Without a date in the file, the age counts from the
+    modification time.
     """
     then = path.stat().st_mtime
     with suppress(ValueError):
@@ -61,7 +63,7 @@ def _file_text(what: str, path: Path, made: str) -> str:
 
 
 def age_text(seconds: float) -> str:
-    """Return an age as text in its largest whole unit."""
+    """Return an age as text, in the largest unit of which the age has at least two."""
     for unit, name in ((DAY_S, "days"), (HOUR_S, "h"), (MINUTE_S, "min")):
         if seconds >= 2 * unit:
             return f"{seconds / unit:.0f} {name}"
@@ -69,14 +71,14 @@ def age_text(seconds: float) -> str:
 
 
 def confirm_motion(warning: str, yes: bool) -> None:
-    """Ask the operator to confirm, unless the command line includes ``--yes``.
+    """Ask the operator to confirm a motion, unless the command line includes ``--yes``.
 
     Args:
-        warning: consequence of a confirmation, in one line.
+        warning: line about the consequence of the confirmation.
         yes: True if ``--yes`` was given.
 
     Raises:
-        ConfigError: the operator does not confirm, or no operator is at the terminal.
+        ConfigError: the operator does not confirm, or there is no terminal at which to ask.
     """
     if yes:
         return

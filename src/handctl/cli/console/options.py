@@ -1,4 +1,4 @@
-"""Options with the same meaning in every verb, and output of results."""
+"""Options that have the same meaning in every command, and output of results."""
 
 import argparse
 import json
@@ -16,7 +16,7 @@ from handctl.session.exit_codes import ExitCode
 
 
 class _StoreNamedHand(argparse.Action):
-    """Argparse action that stores a hand and marks it as named by the operator."""
+    """Argparse action that stores a hand together with the fact that the operator has named one."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         namespace.hand = values
@@ -24,7 +24,7 @@ class _StoreNamedHand(argparse.Action):
 
 
 def add_hand_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --hand: a packaged hand or a file."""
+    """Declare --hand: name of a packaged hand, or path of a hand file."""
     text = f"packaged hand or file (default: {DEFAULT_HAND}; needed on a real bus)"
     named = parser.add_argument("--hand", action=_StoreNamedHand, default=DEFAULT_HAND, metavar="NAME|FILE", help=text)
     named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
@@ -32,7 +32,7 @@ def add_hand_option(parser: argparse.ArgumentParser) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raise an error for a seed that random generators do not accept.
+    """Raise an error if random generators do not accept a seed.
 
     Raises:
         ConfigError: the seed is negative.
@@ -42,7 +42,7 @@ def check_seed(seed: int) -> None:
 
 
 def checked_count(number: int, option: str, maximum: int) -> int:
-    """Return a count from the command line.
+    """Check a count from the command line, and return the count.
 
     Raises:
         ConfigError: the count is not between 1 and ``maximum``.
@@ -53,13 +53,13 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 
 
 def add_protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Declare --protocol: the same hand, but with drives of another protocol."""
+    """Declare --protocol, which selects drives of another protocol for the same hand."""
     text = "drives of the simulated hand (default: as in its file)" + more
     parser.add_argument("--protocol", choices=GUARDED, help=text)
 
 
 def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
-    """Declare --bus: one specification, or several NAME=SPEC for a hand on several buses."""
+    """Declare --bus: one bus, or several of the form NAME=SPEC for a hand on several buses."""
     parser.add_argument(
         "--bus",
         action="append",
@@ -77,7 +77,7 @@ def add_bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str
 
 
 def _bit_rate(word: str) -> int:
-    """Return a bit rate [bit/s] after a check against the limits of a hand file."""
+    """Return a bit rate of the command line [bit/s], after a check against the limits of a hand file."""
     rate = int(word)
     if not SLOWEST_BUS <= rate <= FASTEST_BUS:
         raise argparse.ArgumentTypeError(f"{word}; expected {SLOWEST_BUS} to {FASTEST_BUS} bit/s")
@@ -85,17 +85,17 @@ def _bit_rate(word: str) -> int:
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --json: standard output contains only the result as JSON."""
+    """Declare --json, with which standard output contains only the result, as JSON."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
 
 
 def add_dry_run_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --dry-run: check all inputs without opening a bus."""
+    """Declare --dry-run, with which a command checks all inputs but opens no bus."""
     parser.add_argument("--dry-run", action="store_true", help="check all files and the bus load, open no bus")
 
 
 def add_run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> None:
-    """Declare the options of the verbs that run the controller."""
+    """Declare the options that all commands with a controller have."""
     add_hand_option(parser)
     add_bus_option(parser, bus_required)
     add_json_option(parser)
@@ -111,7 +111,7 @@ def add_run_options(parser: argparse.ArgumentParser, bus_required: bool = True) 
 
 
 def add_clear_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --clear: clear latched faults of the drives before arming."""
+    """Declare --clear, which clears the latched faults of the drives before arming."""
     text = "clear latched faults of the drives before arming; find the cause first"
     parser.add_argument("--clear", action="store_true", help=text)
 
@@ -120,8 +120,8 @@ def add_jobs_option(parser: argparse.ArgumentParser, default: int | None, text: 
     """Declare --jobs: number of parallel processes.
 
     Args:
-        parser: parser of a verb.
-        default: number of processes, or None for one per core.
+        parser: parser of a command.
+        default: default number of processes. None stands for one process per core.
         text: help text without the default.
     """
     default_text = "one per core" if default is None else str(default)
@@ -131,23 +131,23 @@ def add_jobs_option(parser: argparse.ArgumentParser, default: int | None, text: 
 def add_output_option(
     parser: argparse.ArgumentParser, text: str, metavar: str = "FILE", *, required: bool = False
 ) -> None:
-    """Declare --output: file or folder of the result."""
+    """Declare --output, the file or folder to which the result is written."""
     parser.add_argument("--output", type=Path, metavar=metavar, help=text, required=required)
 
 
 def add_perturb_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --perturb: factors between parameters of the simulated hand and of its file."""
+    """Declare --perturb, factors between parameters of the simulated hand and the values in the hand file."""
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help=text)
 
 
 def perturb_words(args: argparse.Namespace) -> list[str]:
-    """Return the words for --perturb on the command line of the simulator."""
+    """Return the words that pass --perturb on to the command line of the simulator."""
     return ["--perturb", *args.perturb] if args.perturb else []
 
 
 def add_yes_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --yes: allow the motion without a question."""
+    """Declare --yes, which allows a motion without a question."""
     text = "do not ask for permission before the hand moves on a real bus"
     parser.add_argument("--yes", action="store_true", help=text)
 
@@ -157,11 +157,11 @@ def add_time_scale_option(
     default: float | None = None,
     default_text: str = "that of the simulator on the bus, otherwise 1",
 ) -> None:
-    """Declare --time-scale: simulated time per wall time.
+    """Declare --time-scale, the simulated time that passes per real time.
 
     Args:
-        parser: parser of a verb.
-        default: value without the option.
+        parser: parser of a command.
+        default: value if the option is not given.
         default_text: the default in words.
     """
     text = f"simulated time per wall time (default: {default_text})"
@@ -185,25 +185,28 @@ def add_gains_options(parser: argparse.ArgumentParser) -> None:
 
 
 def print_escaped(text: str, error: bool = False) -> None:
-    """Print a line that contains text from a file. Control characters are escaped."""
+    """Print a line with text from a file. Control characters are escaped."""
     print(one_line_message(text), file=sys.stderr if error else sys.stdout)
 
 
 def warn_if_lossy(path: Path, warning: str) -> ExitCode:
-    """Warn if a log is incomplete. Returns the exit code for a verb that used the readable part."""
+    """Warn if a log is incomplete.
+
+    Return the exit code of a command that has used the readable part.
+    """
     if warning:
         print_escaped(f"handctl: {path}: {warning}", error=True)
     return ExitCode.LOSSY_LOG if warning else ExitCode.DONE
 
 
 def add_wire_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --wire: simulated frames need the same time as on a real bus."""
+    """Declare --wire, with which simulated frames take as long as on a real bus."""
     text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
 
 
 def wire_words(args: argparse.Namespace) -> list[str]:
-    """Return the words for --wire on the command line of the simulator."""
+    """Return the words that pass --wire on to the command line of the simulator."""
     return [] if args.wire is None else ["--wire", *args.wire]
 
 
@@ -214,7 +217,10 @@ def print_json(result: dict[str, Any]) -> None:
 
 
 def print_json_line(result: dict[str, Any]) -> None:
-    """Print a result as one line of JSON at once, for a verb that reports while it runs. NaN becomes null."""
+    """Print a result at once as one line of JSON, for a command that reports during its work.
+
+    NaN becomes null.
+    """
     text = json.dumps(_json_value(result), allow_nan=False)
     sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")
     sys.stdout.flush()

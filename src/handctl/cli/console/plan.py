@@ -1,4 +1,4 @@
-"""Conversion of command-line arguments to the inputs of a session."""
+"""Conversion of command-line arguments to the inputs of a session, which runs a hand."""
 
 import argparse
 from dataclasses import replace
@@ -16,10 +16,10 @@ from handctl.session.simulate import Simulator
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
-    """Check hand, gains, buses and rate, and return the plan of the run.
+    """Check hand, gains, buses and control rate of a command line, and return the plan of the run.
 
     Raises:
-        ConfigError: an argument or a file is wrong. The message has one line.
+        ConfigError: an argument or a file is wrong.
     """
     choice = plan.Choice(
         hand=args.hand,
@@ -40,7 +40,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
 
 
 def _print_plan(args: argparse.Namespace, run_plan: plan.Plan) -> None:
-    """Print the details of a plan, for ``--verbose``."""
+    """Print the details of a plan, as ``--verbose`` demands."""
     hand = run_plan.hand
     print_detail(f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons")
     loads = ", ".join(f"{name} {100 * load:.0f} %" for name, load in zip(hand.bus_names, run_plan.load, strict=False))
@@ -53,9 +53,9 @@ def _print_plan(args: argparse.Namespace, run_plan: plan.Plan) -> None:
 
 
 def print_notice(text: str) -> None:
-    """Print a notice on standard error.
+    """Print a notice to standard error, unless the command is quiet.
 
-    A caution begins with ``handctl:`` and is always printed.
+    A text that begins with ``handctl:`` is a caution, which is always printed.
     """
     if text.startswith("handctl:"):
         print_escaped(text, error=True)
@@ -101,13 +101,13 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
 
 
 def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibration | None, str]:
-    """Return the hand's calibration file, and its content if valid for arming.
+    """Return the path of the hand's calibration file, and the calibration if the hand may be armed with it.
 
     Returns:
-        The path, the calibration or None, and the reason for None.
+        the path, the calibration or None, and the reason for None.
 
     Raises:
-        ConfigError: the named file exists and cannot be used, or the file cannot be written.
+        ConfigError: a named file exists but cannot be used, or the file cannot be written.
     """
     path = calibration_path(args, hand)
     loaded, reason = calibration.find_calibration(path, hand, named=bool(args.calibration))
@@ -116,14 +116,14 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
 
 
 def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:
-    """Return the factors of ``--perturb``, checked on a simulated hand before a run.
+    """Return the factors of ``--perturb``, after a check on a simulated hand.
 
     Args:
         args: arguments with the hand and ``--perturb``.
-        simulated: True if this verb simulates the hand.
+        simulated: True if the command simulates the hand.
 
     Raises:
-        ConfigError: a word is not KEY=NUMBER, a key or a factor is invalid, or this verb does not
+        ConfigError: a word is not KEY=NUMBER, a key or a factor is invalid, or the command does not
             simulate the hand.
     """
     factors = gains.assignments(args.perturb, "--perturb")
@@ -139,7 +139,7 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
 
 
 def refuse_bus_options(args: argparse.Namespace) -> None:
-    """Raise an error for options that have an effect only in a run on a bus.
+    """Raise an error if an option is given that has an effect only in a run on a bus.
 
     Raises:
         ConfigError: such an option is given.

@@ -10,16 +10,16 @@ from handctl.cli.console.verbosity import is_quiet
 
 
 class ProgressCallback(Protocol):
-    """Callback with the progress of the work."""
+    """Function that is called with the progress of some work."""
 
     def __call__(self, done: int, total: int | None = None, label: str | None = None) -> None:
-        """Report progress: ``done`` of ``total`` steps. ``label`` names the step."""
+        """Report that ``done`` of ``total`` steps are done. ``label`` names the present step."""
         ...
 
 
 @contextmanager
 def progress_bar(label: str, total: int | None = None, quiet: bool = False) -> Iterator[ProgressCallback]:
-    """Show a progress bar on standard error, if standard error is a terminal.
+    """Show a progress bar during a block, if standard error is a terminal.
 
     Args:
         label: name of the work.

@@ -1,4 +1,4 @@
-"""Questions of ``handctl config init`` on the terminal, and the files that the answers become."""
+"""Questions of ``handctl config init`` on the terminal, and the files written from the answers."""
 
 import sys
 from collections.abc import Callable, Collection
@@ -15,12 +15,12 @@ SCHEMA_FILE = "hand.schema.json"
 
 
 class Question(NamedTuple):
-    """Question about a hand.
+    """Question about a new hand.
 
     Attributes:
-        field: field of the answers.
-        text: the question, without its default.
-        read: function that returns the answer from a text, or raises ValueError.
+        field: name of the field in the answers.
+        text: text of the question, without the default.
+        read: function that converts the text of an answer to a value, or raises ValueError.
         right: description of a valid answer, for error messages.
     """
 
@@ -31,7 +31,10 @@ class Question(NamedTuple):
 
 
 def one_of(words: Collection[str]) -> Callable[[str], str]:
-    """Return a function that returns a text if it is one of some words, and raises ValueError otherwise."""
+    """Return a function that accepts only the given words.
+
+    For other texts, the function raises ValueError.
+    """
 
     def read(text: str) -> str:
         if text not in words:
@@ -53,7 +56,11 @@ TENDON_QUESTIONS = (
 
 
 def write_with_schema(output: Path, text: str) -> Path:
-    """Write a new hand file, and the JSON Schema beside it if there is none. Return the path of the schema."""
+    """Write a new hand file.
+
+    Write the JSON Schema beside the hand file unless there is one, and return the path of the
+    schema.
+    """
     schema = output.parent / SCHEMA_FILE
     write_text_atomically(output, text, new=True)
     if not schema.exists():
@@ -62,7 +69,7 @@ def write_with_schema(output: Path, text: str) -> Path:
 
 
 def check_terminal() -> None:
-    """Check that an operator can answer questions.
+    """Check that there is a terminal at which an operator can answer questions.
 
     Raises:
         ConfigError: standard input is not a terminal.
@@ -72,7 +79,7 @@ def check_terminal() -> None:
 
 
 def answer(question: Question, shown: str, default: Any) -> Any:
-    """Repeat a question until the answer is valid, and return the answer."""
+    """Ask a question until the answer is valid, and return the answer."""
     while True:
         text = input(f"{question.text} [{shown}]: ").strip()
         if not text:

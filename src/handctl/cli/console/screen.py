@@ -1,7 +1,7 @@
-"""Rich console for the verbs.
+"""Console of the package rich for all commands.
 
-The console escapes text from files, and ends a verb if the reader of its output has closed the
-pipe.
+The console escapes text from files. If the reader of a command's output closes the pipe, the
+console ends the command.
 """
 
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from handctl.printing import escape_text
 
 
 def rich_console(error: bool = False, min_width: int = 1) -> Any:
-    """Return a rich console.
+    """Return a console of the package rich.
 
     Args:
         error: True to print on standard error. If standard error is closed, the output is dropped
@@ -24,19 +24,19 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
 
     class Screen(Console):
         def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-            """Escape every text except the control codes of rich."""
+            """Escape every text except the control codes that rich itself writes."""
             for segment in super().render(renderable, options):
                 done = segment.control or segment.text.isprintable()
                 yield segment if done else Segment(escape_text(segment.text, "\n\t"), segment.style)
 
         def render_str(self, text: str, **keywords: Any) -> Any:
-            """Escape a string before its width is measured."""
+            """Escape a string before rich measures the width."""
             return super().render_str(escape_text(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
-            """Raise the error that ``main`` handles, as for verbs without rich.
+            """Raise the same error as in commands without rich, which ``main`` handles.
 
-            Progress output continues silently.
+            If only progress output has no reader any more, the command continues silently.
             """
             if not error:
                 raise BrokenPipeError

@@ -1,4 +1,4 @@
-"""Preparation of standard input, output, and error for all verbs."""
+"""Preparation of standard input, standard output and standard error for all commands."""
 
 import os
 import sys
@@ -6,9 +6,12 @@ from io import TextIOWrapper
 
 
 def open_standard_streams() -> None:
-    """Open closed standard streams, and escape characters that a terminal cannot show.
+    """Open the standard streams that are closed.
 
-    Without this, the next opened file would get the file descriptor of a closed stream.
+    Standard output and error then escape all characters that the terminal cannot show.
+
+    If a standard stream stayed closed, the next file to be opened would get the file descriptor of
+    this stream.
     """
     for number in range(3):
         try:
@@ -23,7 +26,7 @@ def open_standard_streams() -> None:
 
 
 def flush_stdout() -> None:
-    """Flush standard output.
+    """Write all buffered text to standard output.
 
     Raises:
         OSError: the disk is full, or the reader closed the pipe.
@@ -36,7 +39,7 @@ def flush_stdout() -> None:
 
 
 def discard_output() -> None:
-    """Discard output that cannot be written.
+    """Discard the buffered output that cannot be written.
 
     Otherwise the same error would occur again at the end of the process.
     """

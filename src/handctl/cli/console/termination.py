@@ -1,7 +1,8 @@
-"""Orderly end of a verb after a signal or a bug.
+"""Orderly end of a command after a signal or a bug.
 
-While no hand runs, a signal raises an exception in the verb, so that files, child processes and sockets are closed.
-While a hand runs, the loop handles the signals. See ``runtime.loop.StopSignals``.
+While no hand runs, a signal raises an exception in the command. The exception closes files, child
+processes and sockets. While a hand runs, the control loop handles the signals, see
+``runtime.loop.StopSignals``.
 """
 
 import atexit
@@ -18,7 +19,7 @@ from handctl.session.exit_codes import ExitCode
 
 
 class Terminated(KeyboardInterrupt):
-    """Exception for SIGTERM, or for SIGHUP from a closed terminal."""
+    """Exception that SIGTERM raises, and SIGHUP when the terminal is closed."""
 
 
 def _raise_terminated(number: int, frame: FrameType | None) -> None:
@@ -27,16 +28,20 @@ def _raise_terminated(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def terminate_on_signals() -> Iterator[None]:
-    """Handle SIGTERM and SIGHUP like Ctrl-C. A signal ignored through ``nohup`` stays ignored."""
+    """Let SIGTERM and SIGHUP end a command like Ctrl-C.
+
+    A signal that ``nohup`` ignores stays ignored.
+    """
     ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
     with installed_handler(_raise_terminated, *ending):
         yield
 
 
 def install_excepthook() -> None:
-    """End the process with a traceback and ``Exit.INTERNAL`` after an unexpected exception.
+    """End the process with a traceback and ``ExitCode.INTERNAL`` after an unexpected exception.
 
-    The exit code is set last, after all other exit handlers have run, so that every resource is closed as usual.
+    The exit code is set last. Before, all other exit handlers run and close every resource as
+    usual.
     """
     bugs: list[BaseException] = []
 

@@ -1,4 +1,4 @@
-"""Verbosity on standard error: ``--quiet``, default, or ``--verbose``.
+"""Amount of text on standard error: with ``--quiet``, by default, or with ``--verbose``.
 
 Results, errors and cautions are always printed.
 """
@@ -14,7 +14,7 @@ from handctl.printing import one_line_message
 
 
 class Verbosity(IntEnum):
-    """Verbosity of a verb, in addition to its result."""
+    """Amount of text that a command prints besides the result."""
 
     QUIET = 0
     NORMAL = 1
@@ -26,7 +26,7 @@ _verbosity: ContextVar[Verbosity] = ContextVar("verbosity", default=Verbosity.NO
 
 @contextmanager
 def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
-    """Apply the verbosity options of a command line while its verb runs."""
+    """Apply ``--quiet`` and ``--verbose`` of a command line while the command runs."""
     quiet = getattr(args, "quiet", False)
     verbose = getattr(args, "verbose", False)
     level = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL
@@ -48,12 +48,12 @@ def is_verbose() -> bool:
 
 
 def print_note(text: str) -> None:
-    """Print progress or a notice on standard error, unless the verb is quiet."""
+    """Print progress or a notice to standard error, unless ``--quiet`` is given."""
     if not is_quiet():
         print(one_line_message(text), file=sys.stderr, flush=True)
 
 
 def print_detail(text: str) -> None:
-    """Print a detail on standard error, if the verb is verbose."""
+    """Print a detail to standard error, if ``--verbose`` is given."""
     if is_verbose():
         print(one_line_message(text), file=sys.stderr, flush=True)

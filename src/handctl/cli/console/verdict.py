@@ -1,4 +1,4 @@
-"""Table with the results at the end of a run."""
+"""Table of results, printed at the end of a run."""
 
 from typing import Any
 
@@ -63,12 +63,15 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
 
 
 def _pauses_text(silent: int) -> str:
-    """Return the explanation of late frames: number of ticks without an answer from any node."""
+    """Return a text that explains late frames by the number of ticks in which no node answered."""
     return f", bus silent for {silent} tick{'s' if silent > 1 else ''}" if silent else ""
 
 
 def _clock_text(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return how long the clock paused for a machine that was too slow, empty without a pause."""
+    """Return a row about how long the simulated clock waited for a slow machine.
+
+    Without a pause, there is no row.
+    """
     if not result["clock_pauses"]:
         return []
     simulated_s = result["ticks"] / result["rate_hz"]
@@ -85,7 +88,10 @@ def _value_with_unit(value: float, scale: float, unit: str, digits: int) -> str:
 
 
 def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return how far the table sank and how far the object then moved, empty without a sinking table."""
+    """Return a row about how far the table sank and how far the object then moved.
+
+    Without a sinking table, there is no row.
+    """
     sunk = result["table_sunk_mm"]
     slid = result["object_slid_mm"]
     if sunk != sunk:
@@ -99,7 +105,7 @@ def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _forces_text(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the estimated tip force of each digit, next to the true contact force."""
+    """Return a row for each digit with the estimated tip force and the true contact force."""
     estimated = result["tip_equivalent_force_n"]
     real = result["contact_force_n"]
     rows = []

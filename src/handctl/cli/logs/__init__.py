@@ -1,1 +1,1 @@
-"""Verbs that read logs."""
+"""Commands that read logs of runs."""

@@ -1,6 +1,6 @@
-"""Declaration of the arguments of these verbs.
+"""Declaration of the arguments of the commands in this folder.
 
-The code of a verb is imported only when the verb runs, so that the help appears fast.
+The code of a command is imported only when the command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -11,7 +11,10 @@ from handctl.cli.parsing.parser import Example, Parser, add_sub_verb
 
 
 def _example_with_log(command: str) -> Example:
-    """Return an example that first records ``run.mcap``, unless the file exists."""
+    """Return an example of a command.
+
+    If there is no log ``run.mcap``, the example first records one.
+    """
     return Example(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
 
 
@@ -31,7 +34,7 @@ EXAMPLES = {
     "log export": _example_with_log("handctl log export run.mcap --csv"),
     "report": _example_with_log("handctl report run.mcap"),
 }
-"""Example of each verb and each sub-verb, as shown in its help text."""
+"""Example command line for the help of each command and subcommand."""
 FORMATS = {
     "parquet": "one table with a row per tick",
     "csv": "the table of --parquet as text",
@@ -39,7 +42,7 @@ FORMATS = {
     "rrd": "a recording for the Rerun viewer",
     "lerobot": "a LeRobot dataset (3.0) in a folder, with an episode for each log",
 }
-"""Formats of ``log export`` with their descriptions."""
+"""Description of each format to which ``log export`` can export."""
 
 
 def view(parser: argparse.ArgumentParser) -> None:

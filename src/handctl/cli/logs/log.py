@@ -14,11 +14,14 @@ from handctl.output import atomic_path, path_with_suffix
 from handctl.session.exit_codes import ExitCode
 
 UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
-"""Unit in which exported data are counted, by format. Formats not listed are counted in rows."""
+"""Unit in which the exported data are counted, by format.
+
+For the other formats, rows are counted.
+"""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the selected sub-verb and return its exit code."""
+    """Run the selected subcommand of ``log``, and return the exit code."""
     done: dict[str, Callable[[argparse.Namespace], int]] = {
         "info": _print_info,
         "check": _check_log,
@@ -65,14 +68,14 @@ def _print_info(args: argparse.Namespace) -> int:
 
 
 def _value_text(value: object) -> str:
-    """Return a value as text: yes or no, 9 significant digits, or ``-`` if empty."""
+    """Return a value as text: yes or no, a number with 9 significant digits, or ``-`` if the value is empty."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.9g}" if isinstance(value, float) else str(value) or "-"
 
 
 def _lateness_us(log: RunLog) -> dict[str, float]:
-    """Return the median, 99.9th percentile and maximum of the tick lateness [us]."""
+    """Return the median, the 99.9th percentile and the maximum of the lateness of the ticks [us]."""
     import numpy as np
 
     late = log.late_ns / 1e3

@@ -1,6 +1,6 @@
-"""``handctl replay``: execute a recorded run again, drive it on the hand, or judge it by other limits.
+"""``handctl replay``: execute a recorded run again, repeat the motion on a hand, or judge the run by other limits.
 
-Only the module of the requested kind is imported, because only ``drive`` uses buses.
+Only the module of the requested kind of replay is imported, because only ``drive`` uses buses.
 """
 
 import argparse
@@ -8,6 +8,6 @@ import importlib
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the selected kind of replay and return its exit code."""
+    """Run the selected kind of replay, and return the exit code."""
     done: int = importlib.import_module(f"handctl.cli.logs.replay_{args.kind}").run(args)
     return done

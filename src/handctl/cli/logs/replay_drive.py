@@ -1,4 +1,4 @@
-"""``handctl replay drive``: drive a recorded run on the hand and compare both runs."""
+"""``handctl replay drive``: repeat the motion of a recorded run on the hand, and compare both runs."""
 
 import argparse
 from dataclasses import replace
@@ -24,7 +24,7 @@ from handctl.session.run import make_controller, run_live
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive the recorded run, compare the new log with it, and return the exit code."""
+    """Repeat the recorded motion, compare the new log with the recorded one, and return the exit code."""
     with RunLog(args.recorded) as before:
         plan = make_plan(args)
         check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")

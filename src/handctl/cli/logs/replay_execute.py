@@ -1,6 +1,6 @@
-"""``handctl replay execute``: repeat the controller's decisions, with the logged gains or with other gains.
+"""``handctl replay execute``: compute the controller's decisions in a log again, with the logged gains or other gains.
 
-This module and its imports use no bus.
+No bus is used by this module and the imported modules.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from handctl.session.exit_codes import ExitCode
 
 
 def run(args: argparse.Namespace) -> int:
-    """Execute the log again and return the exit code."""
+    """Execute the controller again on a log, and return the exit code."""
     from handctl.log.read.reader import RunLog
 
     if args.within is not None and not args.within >= 0:
@@ -32,7 +32,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
-    """Execute the log with its own gains. Return True if all ticks are equal or within tolerance."""
+    """Execute the log with the logged gains.
+
+    Return True if all ticks equal the logged ones, or differ within the tolerance.
+    """
     from importlib.metadata import version
 
     from handctl.log.code_identity import code_identity
@@ -94,21 +97,21 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
 
 
 def _writer_text(log: Any) -> tuple[str, str]:
-    """Return version and code identity of the handctl that wrote a log."""
+    """Return version and code identity of the handctl that has written a log."""
     from handctl.log.code_identity import UNKNOWN
 
     return log.header.metadata.get("version", UNKNOWN), log.header.metadata.get("code", UNKNOWN)
 
 
 def _difference_line(one: Any) -> str:
-    """Return a difference as one line of text: tick, time [s], field, logged and computed value."""
+    """Return a difference from the log as one line: tick, time [s], field, logged and computed value."""
     place = f"{one.field} of {one.name}" if one.name else one.field
     apart = f", {one.ulps} units in the last place" if one.ulps is not None else ""
     return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
 
 
 def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
-    """Execute the log with other gains, and draw their commands. Always returns True."""
+    """Execute the log with other gains, and draw the resulting commands. Always return True."""
     from handctl.core.gains.gains import load_gains
     from handctl.replay.counterfactual import Commands, command_change, draw_commands
     from handctl.replay.execute import execute_log

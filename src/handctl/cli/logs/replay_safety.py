@@ -1,4 +1,7 @@
-"""``handctl replay safety``: list the stops of a recorded run under other limits. This module uses no bus."""
+"""``handctl replay safety``: list the stops that a recorded run would have with other limits.
+
+This module uses no bus.
+"""
 
 import argparse
 
@@ -9,7 +12,7 @@ from handctl.replay.other_limits import judge_by_limits
 
 
 def run(args: argparse.Namespace) -> int:
-    """Judge the recorded run by the given limits, print the stops, and return the exit code."""
+    """Judge a recorded run by the limits of a file, print the stops, and return the exit code."""
     with RunLog(args.recorded) as log:
         with progress_bar("judging", len(log), args.json) as update_progress:
             judgement = judge_by_limits(log, args.limits, update_progress)

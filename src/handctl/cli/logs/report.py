@@ -1,4 +1,4 @@
-"""``handctl report``: write one self-contained HTML page about a run."""
+"""``handctl report``: write an HTML page about a run, in a single file."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""``handctl view``: show a log in Rerun, save it as a Rerun recording, or draw a picture of it."""
+"""``handctl view``: show a log in Rerun, save the log as a Rerun recording, or draw a picture of the run."""
 
 import argparse
 import os
@@ -15,7 +15,7 @@ from handctl.session.exit_codes import ExitCode
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the log, or write the requested recording and picture. Returns the exit code."""
+    """Show a log, or write the requested recording and picture. Return the exit code."""
     os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
     _check_options(args)
     if args.follow:
@@ -46,10 +46,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _find_truth(args: argparse.Namespace, log: Any) -> Any:
-    """Return the truth of a run in lockstep, or None if there is no truth file next to the log.
+    """Return the simulator's truth of a lockstep run, or None if there is no truth file next to the log.
 
     Raises:
-        LogError: the file given by ``--truth`` does not belong to this run.
+        LogError: the file that ``--truth`` names does not belong to this run.
     """
     from handctl.report.truth import read_truth
 
@@ -66,10 +66,10 @@ def _find_truth(args: argparse.Namespace, log: Any) -> Any:
 
 
 def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
-    """Return the time in the run for the picture [s].
+    """Return the time in the run that the picture shall show [s].
 
     Raises:
-        ConfigError: ``--at`` is outside of the run.
+        ConfigError: the time given by ``--at`` is not within the run.
     """
     from handctl.view.picture_time import picture_time
 
@@ -82,7 +82,7 @@ def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
 
 
 def _check_options(args: argparse.Namespace) -> None:
-    """Raise an error for contradicting options, before the log is read."""
+    """Raise an error if options contradict each other. This happens before the log is read."""
     from handctl.view.viewer import check_screen, software_vulkan
 
     if args.follow and (args.save or args.picture):
@@ -104,7 +104,7 @@ def _check_options(args: argparse.Namespace) -> None:
 
 
 def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, Any]:
-    """Write the recording and the picture. Returns the fields of the JSON result."""
+    """Write the requested recording and picture. Return the fields of the JSON result."""
     from handctl.view.feed import write_rrd
 
     result: dict[str, Any] = {}

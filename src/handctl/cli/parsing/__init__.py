@@ -1,1 +1,1 @@
-"""Parsing of the command line: parser, renamed options, shell completion, optional packages of a verb."""
+"""Parsing of the command line: parser, renamed options, shell completion, and the optional packages of each command."""

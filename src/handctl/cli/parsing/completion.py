@@ -1,4 +1,4 @@
-"""Shell completion of verbs and options, with argcomplete.
+"""Shell completion of commands and options, with the package argcomplete.
 
 ``eval "$(register-python-argcomplete handctl)"`` in a bash or zsh makes the shell call ``handctl``
 with ``_ARGCOMPLETE`` in its environment, each time the user presses the Tab key.
@@ -11,26 +11,26 @@ from typing import Any
 from handctl.cli.parsing.parser import Parser
 
 HANDS = Path(__file__).parents[2] / "hand" / "hands"
-"""Folder of the packaged hands, as in ``hand.load``.
+"""Folder of the packaged hands, the same as in ``hand.load``.
 
-Importing ``hand.load`` would delay the completion.
+An import of ``hand.load`` would delay the completion.
 """
 
 
 def is_completing() -> bool:
-    """Return True if a shell asks for completions."""
+    """Return True if a shell has called this program to get completions."""
     return "_ARGCOMPLETE" in os.environ
 
 
 def print_completions(parser: Parser) -> None:
-    """Print the completions for the shell, and end this process."""
+    """Print completions of the command line for the shell, and end this process."""
     import argcomplete
 
     argcomplete.autocomplete(parser)
 
 
 def hand_names(prefix: str, **context: Any) -> list[str]:
-    """Return the packaged hands and the hand files that begin with a prefix."""
+    """Return the names of packaged hands and of hand files that begin with a prefix."""
     files = [path for path in Path().glob("*.toml") if path.is_file()]
     return [name for name in (*sorted(path.stem for path in HANDS.glob("*.toml")), *map(str, files))
             if name.startswith(prefix)]  # fmt: skip

@@ -1,4 +1,7 @@
-"""Optional packages needed by each verb, so that a missing package is reported before the verb begins."""
+"""Optional packages that each command needs.
+
+With them, a missing package is reported before the command begins.
+"""
 
 import argparse
 
@@ -7,8 +10,8 @@ def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
     """Return the import names of the optional packages that a command line needs.
 
     Args:
-        verb: name of the verb.
-        args: parsed arguments of the verb.
+        verb: name of the command.
+        args: parsed arguments of the command.
     """
     packages: list[str] = []
     if verb == "view" or getattr(args, "view", False):

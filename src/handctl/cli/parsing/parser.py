@@ -1,6 +1,6 @@
-"""Parser of command lines, with one-line errors that suggest a correction, and help that ends with an example.
+"""Parser of command lines. Errors are one line with a suggested correction. Help texts end with an example.
 
-Messages of argparse quote words from the user. These words are escaped and shortened before
+Messages of argparse quote words from the user. The parser escapes and shortens them before
 printing.
 """
 
@@ -17,17 +17,17 @@ from handctl.printing import LONGEST_WORD, printable_text, similar_name
 DOUBLE_DASH_AS_VALUE = re.compile(r"(--?[^=]+)=--")
 """Pattern for an option with the value ``--``. argparse would remove this value and fail without a message."""
 INVALID_CHOICE = re.compile(r"invalid choice: '(?P<word>.*)' \(choose from (?P<choices>.*)\)", re.DOTALL)
-"""Pattern for argparse's message about a word that is not an allowed choice."""
+"""Pattern for the message of argparse about a word that is not an allowed choice."""
 
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:demo"
 RUNNING_HAND = "handctl run --hand jamia --bus local:demo"
 
 
 class Example(NamedTuple):
-    """Example command line for the help, which works when pasted into a shell.
+    """Example command line for a help text. The command works if pasted into a shell.
 
     Attributes:
-        line: the command.
+        line: the command line.
         beside: commands that must run in other terminals at the same time.
     """
 
@@ -35,13 +35,16 @@ class Example(NamedTuple):
     beside: tuple[str, ...] = ()
 
     def epilog(self) -> str:
-        """Return the end of a help text. The last line is the command."""
+        """Return the end of a help text with the example. The last line is the command line."""
         beside = ["in other terminals:", *(f"  {command}" for command in self.beside)] if self.beside else []
         return "\n".join([*beside, "example:", f"  {self.line}"])
 
 
 class HelpFormatter(argparse.HelpFormatter):
-    """Help formatter that wraps paragraphs to the terminal's width and keeps indented lines."""
+    """Formatter of help texts.
+
+    The formatter wraps paragraphs to the width of the terminal, and does not change indented lines.
+    """
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         lines = (line if line.startswith(" ") else textwrap.fill(line, width) for line in text.splitlines())
@@ -49,12 +52,19 @@ class HelpFormatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser with the options common to every verb. Subparsers have the same class."""
+    """Argument parser with the options that every command has.
+
+    Parsers of subcommands have the same class.
+    """
 
     def __init__(self, **keywords: Any) -> None:
-        """Create a parser with ``--verbose`` and ``--quiet``. ``keywords`` are those of ``ArgumentParser``."""
+        """Create a parser with ``--verbose`` and ``--quiet``.
+
+        The keyword arguments are those of ``ArgumentParser``.
+        """
         super().__init__(**{"formatter_class": HelpFormatter} | keywords)
-        # No default: an option before the sub-verb must not be reset by the parser of the sub-verb.
+        # The options have no default. Otherwise the parser of a subcommand would reset an option
+        # before the subcommand.
         volume = self.add_mutually_exclusive_group()
         add = volume.add_argument
         text = "print more detail on standard error"
@@ -69,20 +79,21 @@ class Parser(argparse.ArgumentParser):
         self._has_sub_verbs = False
 
     def add_subparsers(self, **keywords: Any) -> Any:
-        """Add sub-verbs. This parser does not know their options."""
+        """Add subcommands, whose options this parser does not know."""
         self._has_sub_verbs = True
         return super().add_subparsers(**keywords)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse a command line. Old spellings and unknown options are refused with a suggestion.
+        """Parse a command line. For an old spelling or an unknown option, raise an error that suggests the right one.
 
         Raises:
-            ConfigError: an option is unknown, or was renamed.
+            ConfigError: an option is unknown or was renamed.
         """
         for word in _option_names(args or ()):
             if new := new_spelling(self._verb_names(), word):
                 raise ConfigError(f"{word} has been renamed", self._verb_names(), new)
-            # Before argparse complains about a missing argument, whose name may be the misspelt one.
+            # This check comes before argparse reports a missing argument, whose name may be the
+            # misspelt one.
             if not (self._has_sub_verbs or any(option.startswith(word) for option in self._option_string_actions)):
                 self._refuse_word(word)
         parsed, rest = super().parse_known_args(args, namespace)
@@ -91,7 +102,7 @@ class Parser(argparse.ArgumentParser):
         return parsed, rest
 
     def _refuse_word(self, word: str) -> NoReturn:
-        """Raise an error for a word that no argument accepts."""
+        """Raise an error for a word of the command line that no argument accepts."""
         option = word.partition("=")[0]
         kind = "option" if word.startswith("-") else "argument"
         suggestion = did_you_mean(option, self._option_string_actions) if kind == "option" else ""
@@ -102,7 +113,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        """Raise the error for the command line as one line.
+        """Raise an error about the command line, with a message of one line.
 
         Raises:
             ConfigError: always.
@@ -118,7 +129,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def _verb_names(self) -> str:
-        """Return the names of verb and sub-verb."""
+        """Return the names of the command and the subcommand."""
         return self.prog.removeprefix("handctl").strip()
 
     def _error_location(self) -> str:
@@ -129,7 +140,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _option_names(words: Iterable[str]) -> Iterable[str]:
-    """Yield the option names among words, up to the word ``--``."""
+    """Yield the option names in a command line, up to the word ``--``."""
     for word in words:
         if word == "--":
             return
@@ -142,26 +153,29 @@ def _quote_word(word: str) -> str:
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """Return a question that suggests the most similar name, empty if no name is similar."""
+    """Return a question that suggests the most similar name.
+
+    The text is empty if no name is similar.
+    """
     near = similar_name(word, names)
     return f", did you mean {near}?" if near else ""
 
 
 def add_sub_verb(sub_verbs: "argparse._SubParsersAction[Parser]", name: str, text: str, example: Example) -> "Parser":
-    """Add the parser of a sub-verb.
+    """Add the parser of a subcommand, and return this parser.
 
     Args:
-        sub_verbs: sub-parsers of the verb.
-        name: name of the sub-verb.
+        sub_verbs: parsers of the command's subcommands.
+        name: name of the subcommand.
         text: one line of help that starts with a small letter and has no full stop.
-        example: example for the end of the help.
+        example: example command line for the end of the help.
     """
     description = f"{text[0].upper()}{text[1:]}."
     return sub_verbs.add_parser(name, help=text, description=description, epilog=example.epilog())
 
 
 def check_words(words: Sequence[str]) -> None:
-    """Raise an error for words that no verb can use.
+    """Raise an error if a command line has words that no command can use.
 
     Raises:
         ConfigError: a word contains NUL or a line end, or the value of an option is ``--``.

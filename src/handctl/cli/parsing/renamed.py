@@ -1,6 +1,6 @@
-"""Renamed options. An old spelling is refused with one line that gives the new spelling.
+"""Renamed options. If the user writes an old spelling, the error message gives the new one.
 
-The table in docs/reference/command-line.md has the same rows.
+The table of renamed options in docs/reference/command-line.md has the same rows.
 """
 
 RENAMED = {
@@ -16,17 +16,17 @@ RENAMED = {
     "tune search": {"--fit": "--calibration", "--out": "--output", "--workers": "--jobs"},
     "view": {"--png": "--picture"},
 }
-"""New spelling of each old option, by verb and sub-verb."""
+"""New spelling of each renamed option, by command and subcommand."""
 
 
 def new_spelling(verb: str, option: str) -> str:
     """Return the new spelling of an option.
 
     Args:
-        verb: verb and sub-verb, for example ``tune design``.
-        option: option as the user wrote it.
+        verb: command and subcommand, for example ``tune design``.
+        option: option in the user's spelling.
 
     Returns:
-        The new spelling, empty if the option was not renamed.
+        the new spelling. The text is empty if the option was not renamed.
     """
     return RENAMED.get(verb, {}).get(option, "")

@@ -1,1 +1,1 @@
-"""Verbs that run a real or a simulated hand."""
+"""Commands that run a real or a simulated hand."""

@@ -1,6 +1,6 @@
-"""Declaration of the arguments of these verbs.
+"""Declaration of the arguments of the commands in this folder.
 
-The code of a verb is imported only when the verb runs, so that the help appears fast.
+The code of a command is imported only when the command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -31,12 +31,12 @@ EXAMPLES = {
     "jog": Example("handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run"),
     "sim": Example("handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"),
 }
-"""Example of each verb."""
+"""Example command line for the help of each command."""
 DRIVE_EXAMPLE = (
     "One drive on a bench, as in: handctl jog --mode velocity --setpoint 2 --protocol mit --node 1"
     " --torque-limit-Nm 0.5 --bus socketcan:can0"
 )
-"""Description of the options of one drive."""
+"""Description of the options of ``jog`` for one drive, printed in the help."""
 
 
 def demo(parser: argparse.ArgumentParser) -> None:
@@ -114,7 +114,7 @@ def jog(parser: argparse.ArgumentParser) -> None:
 
 
 def _drive_options(group: argparse._ArgumentGroup) -> None:
-    """Declare the options of one drive on a bench."""
+    """Declare the options of ``jog`` for one drive on a bench."""
     add = group.add_argument
     add("--protocol", choices=sorted(PROTOCOLS), help="protocol of the drive")
     add("--node", type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus")

@@ -1,7 +1,7 @@
-"""``handctl clear``: clear the latched faults of a running controller. The verb never arms a hand.
+"""``handctl clear``: clear the latched faults of a running controller. This command never arms a hand.
 
-After the crash of a controller, ``handctl run --clear`` clears the latched faults of the drives
-before arming.
+If a controller has crashed, ``handctl run --clear`` clears the latched faults of the drives before
+arming.
 """
 
 import argparse
@@ -12,7 +12,10 @@ from handctl.runtime.confirm import request_action
 
 
 def run(args: argparse.Namespace) -> int:
-    """Request the controller of the bus to clear its faults. Returns 0 after the confirmation."""
+    """Request that the controller of a bus clears all latched faults.
+
+    Return 0 after the controller has confirmed this.
+    """
     bus = controller_bus(args)
     line = request_action(bus, "clear")
     if args.json:

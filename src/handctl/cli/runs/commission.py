@@ -1,4 +1,4 @@
-"""``handctl commission``: tare the load cells, zero the motors, check each tendon's sign, write the calibration."""
+"""``handctl commission``: tare load cells, zero motors, check the sign of each tendon, and write the calibration."""
 
 import argparse
 
@@ -12,7 +12,7 @@ from handctl.session.run import run_live
 
 
 def run(args: argparse.Namespace) -> int:
-    """Commission the hand with a tension of 3 N in each tendon, and return the exit code."""
+    """Commission a hand with a tension of 3 N in each tendon, and return the exit code."""
     plan = make_plan(args)
     path = calibration_path(args, plan.hand)
     if args.dry_run:

@@ -1,4 +1,7 @@
-"""``handctl demo``: grasp an object with a simulated hand over a local CAN bus. No hardware is needed."""
+"""``handctl demo``: grasp an object with a simulated hand over a local CAN bus.
+
+No hardware is needed.
+"""
 
 import argparse
 import os
@@ -37,7 +40,7 @@ START_TIMEOUT_S = 20.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate a hand, commission it, run the task, and report the result.
+    """Simulate and commission a hand, run a task on the hand, and report the result.
 
     Returns the exit code.
     """
@@ -47,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run_demo(args: argparse.Namespace) -> int:
-    """Run the demo with one hand file for simulator and controller."""
+    """Run the demo with the same hand file for simulator and controller, and return the exit code."""
     if args.lockstep and args.time_scale != 1:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "1 with --lockstep, which does not run in real time")
     args.bus = _bus_words(load_hand(args.hand).bus_names)
@@ -81,7 +84,10 @@ def _run_demo(args: argparse.Namespace) -> int:
 
 
 def _bus_words(names: tuple[str, ...]) -> list[str]:
-    """Return the ``--bus`` words for a hand: one local bus of this process per bus name."""
+    """Return the values of ``--bus`` for a hand.
+
+    For each bus name, there is a local bus of this process.
+    """
     spec = f"local:demo-{os.getpid()}"
     return [spec] if len(names) == 1 else [f"{name}={spec}-{name}" for name in names]
 
@@ -89,7 +95,7 @@ def _bus_words(names: tuple[str, ...]) -> list[str]:
 def _run_in_real_time(
     args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> Outcome:
-    """Run in real time, with the simulator as a separate process."""
+    """Run the demo in real time, with the simulator as a separate process."""
     runners = (run_live, partial(run_live, live_view=args.view))
     with running_simulator(args, plan):
         return _commission_and_run(plan, program, log, runners, identified)
@@ -98,7 +104,7 @@ def _run_in_real_time(
 def _commission_and_run(
     plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], identified: IdentifiedByTendon
 ) -> Outcome:
-    """Commission the hand, then run the program with the parameters identified earlier."""
+    """Commission the hand, then run the program with parameters of the hand that were identified earlier."""
     first, then = runners
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
     calibration, _ = commission(plan, commission_log(log), first)
@@ -112,7 +118,7 @@ def _commission_and_run(
 def _run_in_lockstep(
     args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> tuple[Outcome, Path]:
-    """Run in virtual time with the simulated hand. Returns the outcome and the truth file."""
+    """Run the demo in virtual time. Return the outcome and the path of the truth file."""
     truth = log.with_suffix(".truth")
     with _make_simulated_hand(args, truth).clock(plan.period_ns) as clock:
         runner = partial(run_lockstep, clock=clock)
@@ -120,20 +126,23 @@ def _run_in_lockstep(
 
 
 def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> Simulator:
-    """Return the simulated hand of a run in lockstep."""
+    """Return the simulated hand for a run in lockstep."""
     perturb = assignments(args.perturb, "--perturb")
     return Simulator(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
 def _speed_ratio(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
-    """Return simulated time divided by wall time, including commissioning."""
+    """Return fields with simulated time, real time and their ratio.
+
+    The times include commissioning.
+    """
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     return {"lockstep": True, "simulated_s": simulated, "wall_s": wall, "times_real_time": simulated / wall}
 
 
 @contextmanager
 def running_simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
-    """Start the simulator as a separate process and stop it at the end of the context.
+    """Start the simulator as a separate process, and stop the process at the end of the context.
 
     Raises:
         BusError: the simulator does not start.

@@ -17,7 +17,7 @@ from handctl.session.run import make_controller, run_live
 
 
 def run(args: argparse.Namespace) -> int:
-    """Arm the hand, move the digit, relax, and disarm. Returns the exit code."""
+    """Arm a hand, move one digit or joint, then relax and disarm the hand. Return the exit code."""
     if args.mode:
         return jog_drive.run(args)
     if args.protocol or args.node is not None or args.setpoint is not None or args.limit is not None:
@@ -42,7 +42,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _jog_program(args: argparse.Namespace, names: tuple[str, ...], ceiling: float) -> JogProgram:
-    """Return the program, with its goal checked before the hand moves. An angle may be for one joint.
+    """Check the goal before the hand moves, and return the program that moves to the goal.
+
+    An angle may concern a single joint.
 
     Raises:
         ConfigError: the digit, the duration, the tension or the angle is invalid.

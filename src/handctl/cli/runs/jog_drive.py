@@ -30,14 +30,20 @@ from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import ExitCode
 
 MAX_JOG_S = 600.0
-"""Longest jog [s]."""
+"""Longest duration of a motion [s]."""
 MAX_POSITION_RANGE_RAD = 1000.0
-"""Position range of a drive that counts turns and reports no range [rad], the largest value of a hand file."""
+"""Position range for a drive that counts turns and reports no range [rad].
+
+No hand file may have a larger range.
+"""
 ANGLE = "rad"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Move the drive. Return 1 if it stopped early, 71 if it does not confirm that it is disabled."""
+    """Move a drive.
+
+    Return 1 if the motion stopped early, and 71 if the drive does not confirm that it is disabled.
+    """
     goal = _motion_goal(args)
     options = parse_options(args.option)
     args.bus = args.bus[0]
@@ -64,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _motion_goal(args: argparse.Namespace) -> JogGoal:
-    """Return the motion, with every number checked before a bus is opened.
+    """Check every number of the command line before a bus is opened, and return the motion.
 
     Raises:
         ConfigError: an argument is missing or out of range.
@@ -93,17 +99,17 @@ def _motion_goal(args: argparse.Namespace) -> JogGoal:
 
 
 def _check_number(value: float, name: str, low: float, high: float) -> None:
-    """Check the range of an argument. NaN is outside of every range.
+    """Check that an argument is within a range. NaN is outside every range.
 
     Raises:
-        ConfigError: the value is outside.
+        ConfigError: the value is outside the range.
     """
     if not low <= value <= high:
         raise ConfigError(f"{value:g}", name, f"{low:g} to {high:g}")
 
 
 def _describe(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None, goal: JogGoal) -> Drive:
-    """Return the drive in the mode of the goal.
+    """Return the drive, described in the mode of the goal.
 
     Raises:
         ConfigError: the protocol has no such mode or option.
@@ -120,11 +126,11 @@ def _describe(args: argparse.Namespace, options: dict[str, Any], node: Discovere
 
 
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
-    """Return a Damiao motor whose commands carry a torque limit as a fraction of its full scale.
+    """Return a Damiao motor whose commands contain a torque limit, as a fraction of the motor's full scale.
 
     Args:
         motor: description of the motor.
-        full_scale: TMAX of the motor [N m]. It is not changed.
+        full_scale: register TMAX of the motor [N m]. The register is not changed.
         torque: torque limit [N m].
     """
     options = {"current_fraction": min(1.0, torque / full_scale), **motor.options}
@@ -133,20 +139,21 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 
 
 def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options without those of the motion modes."""
+    """Return the options without those that belong to the position and velocity modes."""
     return {key: value for key, value in options.items() if key not in ("current_fraction", "velocity_unit")}
 
 
 def _goal_text(goal: JogGoal) -> str:
-    """Return the motion in words."""
+    """Return the motion of a drive in words."""
     motion = f"{goal.mode.value} {goal.target:+g} {COMMAND_UNITS[goal.mode]} for {goal.duration_s:g} s"
     return f"{motion}, at most {goal.limits.speed:g} rad/s and {goal.travel:g} rad from here"
 
 
 def _move_drive(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: Drive) -> tuple[JogResult, bool]:
-    """Move the drive and disable it. Return the result, and True if the drive reports that it is off.
+    """Move and disable a drive. Return the result, and True if the drive has confirmed that it is disabled.
 
-    A stop for a fault or a limit leaves the drive latched, in its mode. Otherwise it is left in torque mode.
+    If a fault or a limit stops the motion, the drive stays latched in the mode of the motion.
+    Otherwise the drive is left in torque mode.
     """
     result: JogResult | None = None
     with open_rig(args, drive) as (rig, bus):
@@ -167,7 +174,7 @@ def _move_drive(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_dr
 
 
 def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, off: bool) -> None:
-    """Print what the drive reported."""
+    """Print the motion that the drive has reported."""
     if args.json:
         values = {
             "moved_rad": result.moved, "fastest_rad_s": result.fastest, "strongest_N_m": result.strongest,

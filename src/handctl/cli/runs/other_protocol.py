@@ -1,4 +1,4 @@
-"""Hand file for a simulated hand with drives of another protocol, as in the fault campaign."""
+"""Hand file for a simulated hand whose drives use another protocol, as in the fault campaign."""
 
 import argparse
 import tempfile
@@ -15,7 +15,7 @@ from handctl.output import write_text_atomically
 
 @contextmanager
 def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
-    """Replace ``args.hand`` by a file of the hand with drives of ``args.protocol``, until the end of the context.
+    """Replace ``args.hand`` by a hand file with drives of ``args.protocol``, until the end of the context.
 
     Raises:
         ConfigError: the hand does not exist.
@@ -36,10 +36,10 @@ def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
 
 
 def path_in_protocol(args: argparse.Namespace) -> Path:
-    """Return the path of the hand file with drives of ``args.protocol``, in the present folder.
+    """Return the path in the present folder for the hand file with drives of ``args.protocol``.
 
     Raises:
-        ConfigError: a different file has this name.
+        ConfigError: a file with other content has this name.
     """
     path = Path(f"{Path(args.hand).stem}-{args.protocol}.toml")
     if path.exists() and path.read_bytes() != _hand_text(args).encode():
@@ -48,14 +48,14 @@ def path_in_protocol(args: argparse.Namespace) -> Path:
 
 
 def write_in_protocol(args: argparse.Namespace) -> Path:
-    """Write the hand file of ``path_in_protocol`` and return its path."""
+    """Write the hand file at ``path_in_protocol``, and return the path."""
     path = path_in_protocol(args)
     write_text_atomically(path, _hand_text(args))
     return path
 
 
 def _hand_text(args: argparse.Namespace) -> str:
-    """Return the text of the hand file with drives of the protocol."""
+    """Return the text of the hand file with drives of ``args.protocol``."""
     from handctl.campaign.stage import hand_with_protocol  # a slow import: the whole controller
 
     hand = hand_with_protocol(args.hand, args.protocol)

@@ -1,4 +1,4 @@
-"""``handctl run``: run a task on a hand, write its log, and report the result."""
+"""``handctl run``: run a task on a hand, write a log, and report the result."""
 
 import argparse
 import sys
@@ -25,7 +25,7 @@ from handctl.session.tasks import find_task, find_trajectory
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the task, and return the exit code."""
+    """Run a task on a hand, and return the exit code."""
     refuse_view_without_screen(args.view)
     plan = make_plan(args)
     program, attached = _program_of_task(args, plan)
@@ -51,10 +51,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _program_of_task(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, bytes]]:
-    """Return the program of the task or the dataset with its attachments, or a program that waits for requests.
+    """Return the program of the task or dataset, with the files to attach to the log.
+
+    Without task and dataset, return a program that waits for requests.
 
     Raises:
-        ConfigError: wrong content of a file, or an episode without a dataset.
+        ConfigError: the content of a file is wrong, or an episode is given without a dataset.
     """
     if args.dataset is not None:
         from handctl.replay.dataset_episode import find_episode
@@ -74,7 +76,7 @@ def _program_of_task(args: argparse.Namespace, plan: Plan) -> tuple[Program, dic
 
 
 def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) -> int:
-    """Print the result of a run, and return its exit code."""
+    """Print the result of a run, and return the exit code."""
     if as_json:
         print_json(result)
     else:

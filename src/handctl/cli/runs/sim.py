@@ -1,4 +1,4 @@
-"""``handctl sim``: start the simulated hand, as ``python -m firmware_sim`` does."""
+"""``handctl sim``: start a simulated hand, as ``python -m firmware_sim`` does."""
 
 import argparse
 import os
@@ -39,7 +39,7 @@ def _simulator_command(args: argparse.Namespace, hand: str) -> list[str]:
 
 
 def _check_and_print(args: argparse.Namespace) -> int:
-    """Check the arguments and print the command. Return the exit code."""
+    """Check the arguments, print the command that starts the simulator, and return the exit code."""
     from handctl.session.plan import bus_specs
 
     command = _simulator_command(args, str(path_in_protocol(args)) if args.protocol else args.hand)

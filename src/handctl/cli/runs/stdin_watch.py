@@ -1,4 +1,4 @@
-"""Watch of standard input for ``--until-eof``.
+"""Watch of standard input, which ends a run if ``--until-eof`` is given.
 
 Standard input ends when the program that started the run has ended.
 """
@@ -15,18 +15,18 @@ READ_BYTES = 4096
 
 
 class StdinWatch:
-    """Observer of a run that requests a stop after the end of standard input. See ``session.run.RunObserver``."""
+    """Observer of a run that requests a stop when standard input has ended, see ``session.run.RunObserver``."""
 
     def __init__(self) -> None:
-        """Start with an open standard input."""
+        """Start with the assumption that standard input is open."""
         self.input_ended = False
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return one stop request after the end of standard input."""
+        """Return a stop request once, after standard input has ended."""
         if self.input_ended or not select.select([STDIN], [], [], 0)[0] or os.read(STDIN, READ_BYTES):
             return ()
         self.input_ended = True
         return (STOP,)
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Ignore the tick. See ``session.run.RunObserver``."""
+        """Ignore a tick of the run, which ``session.run.RunObserver`` passes on."""

@@ -1,4 +1,4 @@
-"""``handctl stop``: relax and disarm a running hand from another terminal."""
+"""``handctl stop``: relax and disarm a hand that runs in another terminal."""
 
 import argparse
 
@@ -8,9 +8,9 @@ from handctl.runtime.confirm import request_action
 
 
 def run(args: argparse.Namespace) -> int:
-    """Request the controller of the bus to stop.
+    """Request that the controller of a bus stops.
 
-    Returns 0 after all drives have confirmed that they are disabled.
+    Return 0 after all drives have confirmed that they are disabled.
     """
     word = "cut" if args.cut else "stop"
     bus = controller_bus(args)

@@ -1,1 +1,1 @@
-"""Verbs that run many simulations of a hand: fault studies and the source paper."""
+"""Commands that run many simulations of a hand: fault studies, and the reproduction of the source paper."""

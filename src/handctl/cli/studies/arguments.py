@@ -1,6 +1,6 @@
-"""Declaration of the arguments of these verbs.
+"""Declaration of the arguments of the commands in this folder.
 
-The code of a verb is imported only when the verb runs, so that the help appears fast.
+The code of a command is imported only when the command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -21,7 +21,7 @@ EXAMPLES = {
     "fault sequences": Example("handctl fault sequences --count 2 --seed 7"),
     "paper": Example("handctl paper --quick"),
 }
-"""Example of each verb and each sub-verb, as shown in its help text."""
+"""Example command line for the help of each command and subcommand."""
 FAULT_SYNTAX = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
 'drop node=3 p=0.05 at=3s for=2s', 'snap tendon=index_tendon', 'stuck cell=thumb_tendon at=500ms';
 handctl fault kinds lists all faults that a running simulator can inject"""

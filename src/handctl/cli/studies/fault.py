@@ -6,11 +6,11 @@ from handctl.cli.console.options import print_json
 from handctl.runtime.simulator import ask_simulator, find_simulator
 
 MAX_NAMES = 8
-"""Largest number of instance names in one line."""
+"""Largest number of names of instances that are printed in one line."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the selected action and return its exit code."""
+    """Run the selected subcommand of ``fault``, and return the exit code."""
     if args.action in ("campaign", "sequences"):
         from handctl.cli.studies import fault_campaign, fault_sequences
 
@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _send_request(args: argparse.Namespace, question: dict[str, object]) -> int:
-    """Send a request to a running simulator and print its faults."""
+    """Send a request about faults to a running simulator, and print the faults of the simulator."""
     faults = ask_simulator(find_simulator(args.bus), question)["faults"]
     if args.json:
         print_json({"faults": faults})
@@ -37,7 +37,7 @@ def _send_request(args: argparse.Namespace, question: dict[str, object]) -> int:
 
 
 def _print_kinds(args: argparse.Namespace) -> int:
-    """Print the kinds of fault with the instances that accept each kind."""
+    """Print each kind of fault with the instances of the hand that can have this fault."""
     kinds = ask_simulator(find_simulator(args.bus), {"kinds": True})["kinds"]
     if args.json:
         print_json({"kinds": kinds})

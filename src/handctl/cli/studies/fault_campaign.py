@@ -26,18 +26,18 @@ from handctl.session.plan import Plan, highest_rate_of_buses
 from handctl.session.simulate import Simulation
 
 QUICK_FAULT_FREE_S = 4.0
-"""Duration of the fault-free run for each protocol in a quick campaign [s]."""
+"""Simulated time of the runs without faults for each protocol, in a quick campaign [s]."""
 FAULT_FREE_S = 60.0
-"""Duration of the fault-free run for each protocol in a full campaign [s]."""
+"""Simulated time of the runs without faults for each protocol, in a full campaign [s]."""
 MAX_JOBS = 64
 FIRST_LABEL = "bringing the hand to its stages"
 MAX_FAULT_FREE_S = 86_400.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the campaign, and write its reports.
+    """Run a fault campaign, write the reports, and return the exit code.
 
-    Fails if a detection is late or an alarm is false.
+    The command fails if a scenario fails, or if a hand without faults causes an alarm.
     """
     check_seed(args.seed)
     if not 1 <= args.jobs <= MAX_JOBS:
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def report_folder(args: argparse.Namespace) -> Path:
-    """Create and return the folder of the reports and of the logs of failed scenarios."""
+    """Create and return the folder for the reports and for the logs of failed scenarios."""
     folder: Path = args.output or Path("logs") / "campaign"
     folder.mkdir(parents=True, exist_ok=True)
     return folder

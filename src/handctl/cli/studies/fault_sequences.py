@@ -21,7 +21,7 @@ MAX_COUNT = 1_000_000
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the sequences, and report the violated rules. Returns the exit code."""
+    """Run random sequences of faults, and report the violated rules. Return the exit code."""
     for name, value, maximum in (
         ("--jobs", args.jobs, MAX_JOBS),
         ("--count", args.count, MAX_COUNT),

@@ -1,4 +1,4 @@
-"""``handctl paper``: reproduce the source paper and its misprints as table, JSON, Markdown, figures or page."""
+"""``handctl paper``: reproduce the source paper and its misprints, as a table, JSON, Markdown, figures or a page."""
 
 import argparse
 import json
@@ -40,7 +40,10 @@ COLOURS = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute all items, run the requested experiments, and print the items. Return the exit code."""
+    """Compute all items of the paper, run the requested experiments, and print the items.
+
+    Return the exit code.
+    """
     if not 1 <= args.jobs <= 64:
         raise ConfigError(f"{args.jobs}", "--jobs", "1 to 64")
     _check_writable(args.output, args.figures, args.export)
@@ -58,10 +61,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
-    """Read the results of the experiments, or run the experiments and save their results.
+    """Return the results of the experiments, read from a file if it exists.
+
+    Otherwise run the experiments and save the results.
 
     Raises:
-        ConfigError: the file contains no results, or results cannot be written to the file.
+        ConfigError: the file contains no results, or the file cannot be written.
     """
     if path is None:
         return _measure_all(jobs)
@@ -73,7 +78,7 @@ def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
 
 
 def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
-    """Check, before the experiments, that report and folders can be written."""
+    """Check that the report and the folders can be written. This happens before the experiments."""
     if report_file:
         check_output(report_file, "--output")
     for folder in filter(None, folders):
@@ -115,7 +120,7 @@ def _measure_all(jobs: int) -> dict[str, Any]:
 
 
 def _print_table(parts: tuple[PageSection, ...]) -> None:
-    """Print the tables of the items on a terminal, then the count of each verdict."""
+    """Print the items of the paper as tables, and then how often each verdict occurs."""
     from rich.table import Table
     from rich.text import Text
 

@@ -1,1 +1,1 @@
-"""Verbs that tune gains and identify the parameters of a hand."""
+"""Commands that tune gains and identify the parameters of a hand."""

@@ -1,6 +1,6 @@
-"""Declaration of the arguments of these verbs.
+"""Declaration of the arguments of the commands in this folder.
 
-The code of a verb is imported only when the verb runs, so that the help appears fast.
+The code of a command is imported only when the command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -41,7 +41,7 @@ EXAMPLES = {
     "tune search": Example("handctl tune search --hand jamia --plants 1 --trials 2 --output found.toml"),
     "tune verify": Example(f"{NEW_GAINS} handctl tune verify new.toml --hand jamia --lockstep --dry-run"),
 }
-"""Example of each verb and each sub-verb, as shown in its help text."""
+"""Example command line for the help of each command and subcommand."""
 
 
 def identify(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""``handctl gains``: show, compare, apply and roll back the gains of a hand, and change gains live."""
+"""``handctl gains``: show, compare, apply and roll back the gains of a hand, and change gains of a running hand."""
 
 import argparse
 import itertools
@@ -21,11 +21,11 @@ from handctl.session.plan import check_design
 from handctl.tune.gains_store import GainsStore, StoredGains
 
 GAIN_CHANGE_TIMEOUT_S = 3.0
-"""Longest time for a running controller to design gains and switch to them [s]."""
+"""Longest time until a running controller has designed new gains and uses the new gains [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the selected sub-verb and return its exit code."""
+    """Run the selected subcommand of ``gains``, and return the exit code."""
     if args.what == "set":
         return _change_live_gains(args)
     does = {
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
-    """Print every gain with its value, origin, meaning and bounds."""
+    """Print value, origin, meaning and bounds of every gain."""
     layers = layered_gains(args, hand)
     values = values_by_key(layers.gains)
     gain_bounds = {key: checked_bound(key, value, "gains") for key, value in values.items()}
@@ -67,12 +67,12 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def gain_meaning(gain: Bound) -> str:
-    """Return the meaning of a gain with its unit, from the first line of its description."""
+    """Return the meaning and the unit of a gain, from the first line of the gain's description."""
     return gain.why.partition("\n")[0]
 
 
 def _provenance_text(provenance: Provenance) -> str:
-    """Return the provenance of gains as one phrase: number, time, and sources."""
+    """Return the provenance of gains as one phrase with number, time and sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
     made = f", made {provenance.made}" if provenance.made else ""
@@ -83,7 +83,7 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     """Print the differences between two sets of gains.
 
     Raises:
-        ConfigError: more than two sides.
+        ConfigError: more than two sets of gains are named.
     """
     sides = {0: ["packaged", "present"], 1: ["present", *args.sides], 2: args.sides}.get(len(args.sides))
     if sides is None:
@@ -100,7 +100,7 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _gains_to_compare(word: str, hand: Hand) -> Gains:
-    """Return the gains named by ``word``: packaged, present, a history number, a log, or a gains file.
+    """Return the gains that ``word`` names: packaged, present, a number of the history, a log, or a gains file.
 
     Raises:
         ConfigError: the history has no such number.
@@ -126,7 +126,7 @@ def _gains_to_compare(word: str, hand: Hand) -> Gains:
 
 
 def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
-    """Apply a gains file as the present gains of the hand."""
+    """Make the gains of a file the present gains of the hand."""
     file = gains_for(hand, args.file, print_notice)
     check_design(hand, file.gains)
     options = {
@@ -142,9 +142,9 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
-    """Restore earlier gains.
+    """Restore earlier gains of the hand from the history.
 
-    If the present file cannot be used, the newest entry is the default.
+    If the file of the present gains cannot be used, the newest entry of the history is the default.
     """
     store = GainsStore(hand.name, hand.identity)
     entries = store.entries()
@@ -154,9 +154,9 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _rename_unusable(store: GainsStore) -> bool:
-    """Rename an unusable file of present gains, and report this.
+    """Rename a file of present gains that cannot be used, and report the new name.
 
-    Returns True if a file was renamed.
+    Return True if a file was renamed.
     """
     aside = store.set_aside()
     if aside:
@@ -173,7 +173,7 @@ def _report_done(args: argparse.Namespace, store: GainsStore, provenance: Proven
 
 
 def _print_history(args: argparse.Namespace, hand: Hand) -> int:
-    """Print the history of applied gains and mark the present entry."""
+    """Print the history of the gains applied to the hand, and mark the present entry."""
     store = GainsStore(hand.name)
     entries = store.entries()
     try:
@@ -214,9 +214,9 @@ def _entry_line(entry: StoredGains, entries: list[StoredGains]) -> str:
 
 
 def _change_live_gains(args: argparse.Namespace) -> int:
-    """Change gains of a running controller.
+    """Change gains of a running controller, and return the exit code.
 
-    Invalid values are refused before any request is sent.
+    If a value is invalid, an error is raised before a request is sent.
     """
     from handctl.runtime.confirm import open_watcher, send_confirmed
 
@@ -240,7 +240,7 @@ def _change_live_gains(args: argparse.Namespace) -> int:
 
 
 def _wait_for_answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> dict[str, str]:
-    """Return the event text for each changed gain whose request was received in tick ``taken``.
+    """Wait until the controller has answered a request to change gains, and return the event text of each changed gain.
 
     Raises:
         ConfigError: the controller refuses the gains.
@@ -258,7 +258,7 @@ def _wait_for_answers(watcher: Any, values: dict[str, float], taken: dict[str, A
 
 
 def _raise_refusal(text: str) -> None:
-    """Raise an error if ``text`` contains a refusal.
+    """Raise an error if the text of an event is a refusal of the controller.
 
     Raises:
         ConfigError: the controller refused the request.

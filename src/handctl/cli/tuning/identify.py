@@ -1,4 +1,4 @@
-"""``handctl identify``: identify the parameters of a hand by excitation or from logs, and save them."""
+"""``handctl identify``: identify the parameters of a hand by excitation or from logs, and save the parameters."""
 
 import argparse
 import shlex
@@ -55,7 +55,10 @@ BLOCKED_HINT = (
 
 
 def run(args: argparse.Namespace) -> int:
-    """Excite the hand or read logs, then fit, report, and save. Returns the exit code."""
+    """Excite a hand or read logs, then fit, report and save the parameters of the hand.
+
+    Return the exit code.
+    """
     given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if given != 1:
         raise ConfigError(f"{given or 'none'} given", "--bus, --lockstep, --from-log", "one of them")
@@ -98,7 +101,10 @@ def run(args: argparse.Namespace) -> int:
 def _in_lockstep(
     args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path, about: str
 ) -> tuple[Calibration, Outcome]:
-    """Commission and excite the simulated hand in virtual time."""
+    """Commission and excite a simulated hand in virtual time.
+
+    Return the calibration and the outcome.
+    """
     perturb = assignments(args.perturb, "--perturb")
     simulator = Simulator(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
     with simulator.clock(plan.period_ns) as clock:
@@ -109,7 +115,7 @@ def _in_lockstep(
 def _commission_and_excite(
     plan: Plan, program: ExciteProgram, log: Path, runner: Runner
 ) -> tuple[Calibration, Outcome]:
-    """Commission the hand, then excite it. Returns the calibration and the outcome."""
+    """Commission and then excite a hand. Return the calibration and the outcome."""
     started = time.monotonic()
     calibration, _ = commission(plan, commission_log(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
@@ -119,9 +125,9 @@ def _commission_and_excite(
 
 
 def _identify_from_logs(args: argparse.Namespace) -> int:
-    """Identify from recorded runs without motion.
+    """Identify parameters from recorded runs, without moving the hand. Return the exit code.
 
-    If several logs have a result for a tendon, the last log is used.
+    If several logs have a result for a tendon, that of the last log is used.
     """
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
@@ -147,7 +153,7 @@ def _identify_from_logs(args: argparse.Namespace) -> int:
 def _simulated_calibration_path(hand: Hand) -> Path:
     """Return the path of the calibration file for a simulated hand.
 
-    A real hand is never armed with this file.
+    A real hand is never armed with the file at this path.
     """
     return Path(f"{hand.name}.lockstep.calibration.toml")
 
@@ -174,7 +180,7 @@ def _report_results(
     path: Path,
     calibration: Calibration | None,
 ) -> int:
-    """Write the calibration, draw the pictures, and print the results. Returns the exit code."""
+    """Write the calibration, draw the pictures, and print the results. Return the exit code."""
     made = utc_now_text()
     identified = previous_identified(path, hand, calibration.drive if calibration else {}, print_notice)
     every = [one for tendons in results.values() for one in tendons.values()]
@@ -215,7 +221,7 @@ def _report_results(
 
 
 def _search_command(args: argparse.Namespace, path: Path) -> str:
-    """Return the command that tunes the identified hand, with the options for the same hand."""
+    """Return the command that tunes the identified hand, with options that select the same hand."""
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
     return shlex.join(words + same_hand_words(args))
 

@@ -1,6 +1,6 @@
 """``handctl tune``: design gains, search gains on the identified hand, and verify gains on the hand.
 
-Only the module of the requested kind is imported.
+Only the module of the requested kind of tuning is imported.
 """
 
 import argparse
@@ -12,7 +12,7 @@ from handctl.cli.console.options import (
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the selected kind of tuning and return its exit code."""
+    """Run the selected kind of tuning, and return the exit code."""
     check_seed(args.seed)
     done: int = importlib.import_module(f"handctl.cli.tuning.tune_{args.kind}").run(args)
     return done

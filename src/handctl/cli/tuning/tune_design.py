@@ -24,15 +24,15 @@ from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import control_rate
 
 TABLE_WIDTH = 100
-"""Width of the table of margins [columns], so that no number is cut."""
+"""Width of the table of margins at which no number is cut [columns]."""
 MIN_POLE_HZ = 0.01
 MAX_DAMPING = 100.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design the gains, draw the loops, and write both files.
+    """Design gains, draw the control loops, and write the gains file and the picture.
 
-    Fails if the margins are too small.
+    The command fails if the stability margins are too small.
     """
     from handctl.tune.loops.design import Design, design_gains, linear_factors, model_with_gains
     from handctl.tune.loops.steps import RestTest
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report_failure(args: argparse.Namespace, reason: str) -> int:
-    """Report the reason why gains are not written, and return the exit code."""
+    """Report the reason why no gains are written, and return the exit code."""
     if args.json:
         print_json({"gains": None, "picture": None, "enough": False, "why": reason})
     print_escaped(f"handctl: tune design: {reason}; nothing is written", error=True)
@@ -84,10 +84,10 @@ def _report_failure(args: argparse.Namespace, reason: str) -> int:
 
 
 def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
-    """Return the design with poles at ``--poles-Hz`` [Hz] and the damping ratio ``--damping``.
+    """Return the design of gains with poles at ``--poles-Hz`` [Hz] and the damping ratio ``--damping``.
 
     Raises:
-        ConfigError: a pole or the damping is not a number within its limits.
+        ConfigError: a pole or the damping is not a number within the limits.
     """
     from handctl.tune.loops.design import design_with_poles
 

@@ -1,4 +1,4 @@
-"""Input and output files common to all kinds of ``handctl tune``."""
+"""Input and output files that all kinds of ``handctl tune`` share."""
 
 import argparse
 import shlex
@@ -18,10 +18,11 @@ from handctl.tune.search.ensemble import draw_ensemble, ensemble_widths
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
-    """Return the paths of the gains file and of the picture.
+    """Return the paths of the gains file and of the picture to write.
 
     Raises:
-        ConfigError: a folder is missing, both paths are equal, or a path is another file of this hand.
+        ConfigError: a folder is missing, both paths are equal, or a path is that of another file of
+            this hand.
     """
     out: Path = args.output or Path(f"{hand}.{kind}.toml")
     hand_files = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
@@ -35,13 +36,14 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
 
 
 def plants_of(args: argparse.Namespace, spread: dict[str, float], maximum: int) -> tuple[dict[str, float], ...]:
-    """Return the factors of the plants for tuning: an ensemble around the best estimate of the hand.
+    """Return the parameter factors of the plants for tuning: an ensemble around the best estimate of the hand.
 
-    Without a calibration, the center of the ensemble is the hand file times the factors of
-    ``--perturb``. A calibration already contains these factors, so they are not applied again.
+    Without a calibration, the center of the ensemble has the parameters of the hand file times the
+    factors of ``--perturb``. A calibration already contains these factors, which are then not
+    applied again.
 
     Raises:
-        ConfigError: too few or too many plants, or ``--perturb`` is wrong.
+        ConfigError: the number of plants is too small or too large, or ``--perturb`` is wrong.
     """
     perturb = check_perturb(args, simulated=True)
     plants = draw_ensemble(checked_count(args.plants, "--plants", maximum), args.seed, spread)
@@ -51,14 +53,14 @@ def plants_of(args: argparse.Namespace, spread: dict[str, float], maximum: int) 
 
 
 def verify_command(args: argparse.Namespace, out: Path) -> str:
-    """Return the command that verifies new gains in simulation, with the options for the same hand."""
+    """Return the command that verifies new gains in simulation, with options that select the same hand."""
     words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
     return shlex.join(words + same_hand_words(args))
 
 
 def same_hand_words(args: argparse.Namespace) -> list[str]:
-    """Return the options with which a later verb uses the same hand: gains, rate, simulated plant."""
+    """Return the options with which a later command uses the same gains, control rate and simulated plant."""
     words = ["--gains", str(args.gains)] if args.gains else []
     words += [word for gain in args.gain or () for word in ("--gain", gain)]
     words += ["--rate", f"{args.rate:g}"] if args.rate else []
@@ -66,19 +68,21 @@ def same_hand_words(args: argparse.Namespace) -> list[str]:
 
 
 def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
-    """Write a gains file with its provenance."""
+    """Write a gains file that states where the gains come from."""
     provenance = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
     write_text_atomically(path, gains_text(gains, provenance))
 
 
 class TunedHand(NamedTuple):
-    """Hand to tune, its identified twin, and the spread of the ensemble.
+    """Hand to tune, identified twin of this hand, and spread of the ensemble.
 
     Attributes:
-        hand: hand as in its file. Gains files record its name and identity.
+        hand: hand with the parameters of the hand file. Gains files record name and identity of
+            this hand.
         twin: hand with the identified parameters instead of those in the file. The twin is the
             controller's model, as in a run with this calibration, and the center of the ensemble.
-        spread: half widths of the ensemble from the identification. See ``draw_ensemble``.
+        spread: half widths of the ensemble, as the identification gives them, see
+            ``draw_ensemble``.
     """
 
     hand: Hand
@@ -87,7 +91,7 @@ class TunedHand(NamedTuple):
 
 
 def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:
-    """Load the hand to tune and its identified parameters.
+    """Load the hand to tune and the identified parameters of this hand.
 
     Args:
         name: name of a packaged hand, or path of a hand file.

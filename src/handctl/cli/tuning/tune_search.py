@@ -1,4 +1,7 @@
-"""``handctl tune search``: search the best gains on simulated hands. An interrupted search can resume."""
+"""``handctl tune search``: search for the best gains on simulated hands.
+
+An interrupted search can be resumed.
+"""
 
 import argparse
 import time
@@ -27,9 +30,9 @@ from handctl.session.plan import control_rate
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search the gains, draw the trials, and write both files.
+    """Search for gains, draw the trials, and write the gains file and the picture.
 
-    Fails if no trial keeps the margins.
+    The command fails if no trial keeps the stability margins.
     """
     from handctl.tune.plots import draw_search
     from handctl.tune.search.search import SearchPlan, run_search
@@ -80,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, picture: Path, trials: int) -> int:
-    """Report that no trial keeps the margins, and return the exit code."""
+    """Report that no trial keeps the stability margins, and return the exit code."""
     if args.json:
         print_json(_report_fields(result, storage, None, picture))
     else:
@@ -89,7 +92,10 @@ def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, pic
 
 
 def _designed_gains(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
-    """Return the gains of a design for the same plants, as second start point, or none if the design fails."""
+    """Return the gains of a design for the same plants, a further start point of the search.
+
+    If the design fails, return none.
+    """
     from handctl.tune.loops.design import design_gains, linear_factors
 
     try:
@@ -100,7 +106,7 @@ def _designed_gains(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[st
 
 
 class _Progress:
-    """Progress display of a search: completed trials, best trial and remaining time."""
+    """Display of a search's progress: completed trials, best trial and remaining time."""
 
     def __init__(self, trials: int, quiet: bool) -> None:
         from rich.progress import (
@@ -134,9 +140,9 @@ class _Progress:
         self._bar.stop()
 
     def show(self, result: Any) -> None:
-        """Update the display after a trial.
+        """Update the display of the search after a trial.
 
-        Without a terminal, at most one line per 5 s is printed.
+        Without a terminal, the display prints at most one line in 5 s.
         """
         text = (
             f"best {result.cost(result.best):.3f}, trial {result.best.number}" if result.best else "none feasible yet"

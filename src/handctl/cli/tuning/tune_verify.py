@@ -1,4 +1,7 @@
-"""``handctl tune verify``: test new gains on the hand at rising amplitude, with the old gains as fallback."""
+"""``handctl tune verify``: test new gains on the hand at rising amplitude.
+
+If a test fails, return to the old gains.
+"""
 
 import argparse
 from collections.abc import Iterable
@@ -22,7 +25,7 @@ from handctl.session.simulate import Simulator
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify the new gains. Returns 0 only if the new gains pass at full amplitude."""
+    """Verify new gains on the hand. Return 0 only if the new gains pass at full amplitude."""
     from handctl.programs.exercise import Exercise
     from handctl.tune.verify import AMPLITUDES, VerifyObserver
 
@@ -81,7 +84,10 @@ def _run_once(
 
 
 def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
-    """Score one run, and draw its picture. Returns the fields of the JSON result."""
+    """Score one run of the test, and draw a picture of the run.
+
+    Return the fields of the JSON result.
+    """
     from handctl.log.read.reader import RunLog
     from handctl.report.truth import read_truth
     from handctl.tune.plots import draw_verify
@@ -104,7 +110,10 @@ def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_fil
 
 
 def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outcome) -> int:
-    """Print the result of all runs, with the table of the last run. Returns the exit code."""
+    """Print the result of all runs of the test, with the table of the last run.
+
+    Return the exit code.
+    """
     from handctl.tune.verify import compare_rounds
 
     last = runs[-1]
@@ -181,7 +190,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
 
 
 def _gains_label(number: int, back: dict[str, Any] | None) -> str:
-    """Return the label of a round's gains: old, new, or back to the old gains."""
+    """Return the label for the gains in a round of the test: old, new, or back to the old gains."""
     from handctl.tune.verify import AMPLITUDES, OLD_ROUNDS
 
     if number < OLD_ROUNDS:

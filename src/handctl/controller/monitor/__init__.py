@@ -1,1 +1,1 @@
-"""Inputs to the safety monitor: the thresholds for a hand, and excess replies from nodes."""
+"""Inputs of the safety monitor: the thresholds for a hand, and excess replies from nodes."""

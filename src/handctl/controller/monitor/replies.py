@@ -1,10 +1,11 @@
 """Detection of unsolicited and duplicate replies: a node sends more replies than this host has sent requests.
 
-A motor that replies before the first request from this host has been addressed by a second
-controller (H13). A single reply is enough for this fault. If there are more replies than requests,
-the excess reply is a duplicate (B05), or a masquerade if its bytes differ (B06). Only frames
-accepted as replies by the drive or sensor node are counted. Heartbeats and frames with an old
-counter are not counted. The code runs only in ticks with excess replies.
+If a motor replies before the first request from this host, a second controller has sent it a
+request (fault H13). A single such reply is enough for this fault. If there are more replies than
+requests, the excess reply is a duplicate (fault B05), or a masquerade if its bytes differ (fault
+B06). Only frames that the state machine of the drive or sensor node accepts as replies are counted.
+Heartbeats and frames with an old counter are not counted. The code runs only in ticks with excess
+replies.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,10 @@ from handctl.drives.frame import Frame
 from handctl.drives.sensors.contract import Sensors
 
 LATE_TICKS = 50
-"""Ticks for which a missing answer may still arrive. A busy node may answer its queued requests over many ticks."""
+"""Number of ticks for which a missing answer may still arrive.
+
+A busy node may answer its queued requests over many ticks.
+"""
 
 
 def detect_unsolicited_replies(
@@ -40,7 +44,8 @@ def detect_unsolicited_replies(
     surplus = state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus):
-        # 1 means a reply without a request. A larger number counts the replies to one request.
+        # The count is the number of outstanding requests plus 1. So the count 1 means a reply
+        # without a request.
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:
@@ -50,7 +55,7 @@ def detect_unsolicited_replies(
 
 
 def _detect_duplicate_answers(sensors: Sensors, before: State, state: State, frames: Sequence[Frame]) -> None:
-    """Write duplicate answers of the load cells into ``DUPLICATES``, and count late ones in ``STALE_FRAMES``."""
+    """Write duplicate answers of the load cells into ``DUPLICATES``, and count late answers in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
     excused = not sensors.has_counter and (state.whole(s.MISSED_TICKS) > 0 or _has_lost_answers(before))
     answered = before.view("group_answered").tolist()
@@ -72,19 +77,19 @@ def _detect_duplicate_answers(sensors: Sensors, before: State, state: State, fra
 def _has_lost_answers(before: State) -> bool:
     """Return True if answers of the load cells were missing in the last ``LATE_TICKS`` ticks.
 
-    An additional answer without a counter then counts as late, and not as a duplicate. This is also
-    so after a tick without an answer, and if this host has missed a tick.
+    An additional answer without a counter then counts as late, and not as a duplicate. The same
+    holds after a tick without an answer, and if this host has missed a tick.
     """
     return bool(before.layout.table(before.block, "node_int")[s.LOST_REPLIES, -1] & (1 << LATE_TICKS) - 1)
 
 
 def _duplicate_kind(payloads: list[bytes], due: int) -> int:
-    """Return 2 if an excess reply differs from the last expected reply, else 1."""
+    """Return 2 if the bytes of an excess reply differ from those of the last expected reply, else 1."""
     return 2 if len(set(payloads[due - 1 :])) > 1 else 1
 
 
 def _accepted_payloads(drive: Drive, before: State, n: int, frames: Sequence[Frame]) -> list[bytes]:
-    """Return the payloads that the drive's state machine accepts as replies, in order."""
+    """Return the payloads that the drive's state machine accepts as replies, in the order of reception."""
     drive_state = before.drive(n)
     payloads = []
     for frame in frames:

@@ -1,4 +1,4 @@
-"""Thresholds of the safety monitor for a hand, computed from drives, sensors, and model."""
+"""Thresholds of the safety monitor for a hand, computed from its drives, its sensors, and its model."""
 
 from collections.abc import Sequence
 
@@ -22,14 +22,14 @@ from handctl.safety.limits import (
 )
 
 JUMP_MARGIN = 1.5
-"""Largest plausible position step per tick, as a multiple of the drive's top speed times the period."""
+"""Largest plausible step of a position in a tick, as a multiple of the top speed times the control period."""
 JOINT_RATE_RAD_S = 60.0
 """Joint speed that no joint can reach [rad/s].
 
-Source: spool speed of the packaged hands over their smallest moment arm.
+Source: spool speed of the packaged hands, divided by their smallest moment arm.
 """
 ROUNDING_NOISE_COUNTS = 6.0
-"""Rounding error of the encoder in the mean squared jerk [encoder counts]."""
+"""Mean squared jerk of a motor position that rounding of the encoder causes [squared encoder counts]."""
 
 
 def safety_limits(model: HandModel, drives: tuple[Drive, ...], sensors: Sensors) -> Limits:
@@ -59,7 +59,7 @@ def compiled_constants(
     """Return the constants of a hand for the compiled code.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         drives: drives of the hand.
         sensors: sensor node of the hand.
         limits: safety thresholds.
@@ -105,10 +105,10 @@ def compiled_constants(
 
 
 def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
-    """Return one count of kp [N m/rad] and kd [N m s/rad], and the force by a count of input [N].
+    """Return one count of kp [N m/rad] and of kd [N m s/rad], and the force that one count of feedback causes [N].
 
-    Commands without kp and kd have 1. A stiffness or damping of less than one count is rounded up
-    to one count.
+    A drive whose commands have no kp and kd gets a count of 1. Feedback is the position and the
+    speed that the drive reports, in counts of its protocol.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
@@ -132,7 +132,7 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
 
 
 def torque_resolution(drive: Drive) -> float:
-    """Return the torque of one count in feedback or command, the larger of the two [N m at the spool].
+    """Return the torque of one count in the feedback or in the command, whichever is larger [N m at the spool].
 
     It is 0 for a floating-point torque.
     """
@@ -142,20 +142,21 @@ def torque_resolution(drive: Drive) -> float:
 
 
 def max_frames_per_tick(drives: Sequence[Drive], sensors: Sensors) -> int:
-    """Return the number of frames per tick that means a flooded bus: twice the replies of all nodes."""
+    """Return the number of frames in a tick above which the bus counts as flooded: twice the replies of all nodes."""
     return max(MIN_FRAMES_LIMIT, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
 
 
 def _noise_limit(model: HandModel) -> float:
     """Return the largest mean squared jerk of a motor's position without encoder noise [rad^2].
 
-    The limit allows for full torque in alternating directions on the bare rotor, and for encoder
-    rounding.
+    This jerk includes full torque in alternating directions on the bare rotor, and rounding of the
+    encoder.
     """
     space = model.space
     period = model.period
-    # Acceleration of the bare rotor at full torque [rad/s^2]: torque / spool = force, / mass, /
-    # spool.
+    # Acceleration of the bare rotor at full torque [rad/s^2]. Torque / spool radius is a force,
+    # force / mass an acceleration along the tendon, and this acceleration / spool radius that of
+    # the rotor.
     torque = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
     rounding = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
     return NOISE_FACTOR * ((0.1 * torque * period**2) ** 2 + rounding)

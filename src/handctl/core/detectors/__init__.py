@@ -1,1 +1,1 @@
-"""Compiled fault detectors: their memory between ticks, and the faults that they find in a tick."""
+"""Compiled fault detectors: update of their memory between ticks, and search for the faults of a tick."""

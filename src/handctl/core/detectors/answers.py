@@ -1,10 +1,10 @@
-"""Outstanding requests of motors. A late reply is matched to an old request, so it does not count as a duplicate.
+"""Requests that motors have not yet answered. A late reply answers an old request, so it is not counted as a duplicate.
 
 The host sends a request to each motor in every tick. A missing reply may be lost. It may also come
-later together with other replies, or all replies come a tick late because a machine is busy. These
-cases cannot be distinguished at first, so a request stays outstanding until its reply, or for
-``WINDOW`` ticks. The last request stays outstanding without a limit. A reply beyond all outstanding
-requests is a duplicate, or comes from another node.
+later, together with other replies. Or all replies come a tick late because a computer is busy. At
+first the host cannot distinguish these cases, so a request stays outstanding until its reply comes,
+or for ``WINDOW`` ticks. The last request to a motor stays outstanding without a time limit. If more
+replies come than requests are outstanding, a reply is a duplicate, or it comes from another node.
 """
 
 from handctl.compiled import inner
@@ -15,18 +15,24 @@ from handctl.core.constants import ConstantTables
 from handctl.safety.faults.bus import WINDOW
 
 MAX_REQUESTS = 8
-"""Largest number of outstanding requests. A node with more of them is silent, and its older requests are lost."""
+"""Largest number of outstanding requests of a motor.
+
+A motor with more of them is silent, and its older requests are dropped.
+"""
 PHASE_READY = 2
-"""Number of ``drives.contract.Phase.READY``."""
+"""Value of ``drives.contract.Phase.READY``."""
 
 
 @inner
 def close_answered_requests(x: Tables, c: ConstantTables) -> bool:
-    """Close the newest outstanding request for each reply of the tick. The request of a lost reply stays open.
+    """Close the newest outstanding request for each reply of this tick.
+
+    The request of a lost reply stays outstanding.
 
     Returns:
-        True if a node sent more replies than it had outstanding requests. ``EXCESS_REPLIES`` of
-        such a motor is the number of outstanding requests plus 1. It is 0 for all other motors.
+        True if a motor or the sensor node sent more replies than it had outstanding requests.
+        ``EXCESS_REPLIES`` of such a motor is set to the number of its outstanding requests plus 1.
+        It is set to 0 for all other motors.
     """
     any_excess = False
     for n in range(x.tendon.shape[1]):
@@ -46,15 +52,15 @@ def close_answered_requests(x: Tables, c: ConstantTables) -> bool:
 def add_requests(x: Tables, k: int) -> None:
     """Add an outstanding request for every motor in tick k.
 
-    A motor that was not ready before this tick does not answer older requests. Only the new request
-    is outstanding then.
+    A motor that was not ready before this tick does not answer older requests. The new request is
+    then its only outstanding request.
     """
     for n in range(x.tendon.shape[1]):
         count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
         if x.tendon_int[s.PHASE_BEFORE, n] < PHASE_READY:
             count = 0
         remaining = 0
-        # Keep at most MAX_REQUESTS - 1 old requests, to leave a place for the new one.
+        # Keep at most MAX_REQUESTS - 1 old requests, to leave a place for the new request.
         for i in range(max(count - MAX_REQUESTS + 1, 0), count):
             outstanding = x.tendon_int[s.REQUEST_TICKS + i, n]
             if i == count - 1 or k - outstanding < WINDOW:

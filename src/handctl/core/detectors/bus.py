@@ -1,4 +1,4 @@
-"""Detectors of rows B01 to B17, see ``safety.faults.bus``."""
+"""Detectors of the bus faults, rows B01 to B17 of the fault catalogue, see ``safety.faults.bus``."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +31,12 @@ from handctl.safety.faults.bus import (
 )
 
 Evidence = NDArray[np.float64]
-"""Result table (faults, instances): evidence of each fault, NaN where the fault is absent."""
+"""Result table of all detectors (faults, instances): a number that shows each fault, NaN where the fault is absent."""
 
 
 @inner
 def detect_bus_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
-    """Run the detectors of this module, and write their results."""
+    """Run the detectors of bus faults, and write their results into the evidence table."""
     if x.run[s.UNKNOWN_RATE] > UNKNOWN_LIMIT:
         evidence[B10, 0] = x.run[s.UNKNOWN_RATE]
     if not armed:
@@ -55,7 +55,10 @@ def detect_bus_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evide
 
 @inner
 def _detect_overdue_feedback(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find overdue feedback. In a tick that the host missed, no feedback was requested."""
+    """Find motors with overdue feedback.
+
+    In a tick that the host missed, no feedback was requested.
+    """
     youngest = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
         youngest = min(youngest, motor_ticks_overdue(x, c, n, x.run_int[s.T_NS]))
@@ -71,7 +74,7 @@ def _detect_overdue_feedback(x: Tables, c: ConstantTables, evidence: Evidence) -
 
 @inner
 def _detect_lost_replies(x: Tables, evidence: Evidence) -> None:
-    """Find nodes that lose many replies."""
+    """Find nodes of which many replies are missing."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
         if number > HOLD_LOSSES:
@@ -82,7 +85,7 @@ def _detect_lost_replies(x: Tables, evidence: Evidence) -> None:
 
 @inner
 def _detect_bad_frames(x: Tables, evidence: Evidence) -> None:
-    """Find malformed frames, duplicate replies and stale replies."""
+    """Find malformed frames, and duplicate replies with equal or different bytes."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MALFORMED, node] & 1:
             number = count_set_bits(x.node_int[s.MALFORMED, node])

@@ -1,25 +1,28 @@
-"""Correlation of reported torque with commanded torque.
+"""Test whether a drive obeys, by the correlation of its reported torque with its commanded torque.
 
 A drive that obeys reports the commanded torque, including the small changes that noise adds to
-every command. The reports have other changes if they come from another drive, if the torque acts on
-another joint, or if the drive obeys late. This is visible even if all motors pull equally and
-nothing moves. With increments a of the command and b of the report, as forces at the spool [N], the
-test uses low-passed products:
+every command. The changes in the reports differ from those in the commands in three cases: the
+reports come from another drive, the torque acts on another joint, or the drive obeys late. The
+difference is visible even if all motors pull equally and no joint moves. Let a be the increment of
+the command from one tick to the next, and b that of the report, as forces at the spool [N]. The
+test uses low-passed products S of these increments:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
-The fault is present if less than 0.4 of the command's changes are reported, with a margin of four
-standard deviations of the estimate. For uncorrelated increments the sample covariance has the
-variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
+Here tau is the time constant of the low-pass filter, and T is the control period. The fault is
+present if the drive reports less than 0.4 of the command's changes, with a margin of four standard
+deviations of this estimate. The sample covariance of uncorrelated increments has the variance S_aa
+S_bb / n. Source: Bartlett's formula for white noise.
 
 The increments of a contact are a hundred times as large as those of a hold. Unlimited, they would
 dominate the products for seconds after the contact. All increments are therefore limited to two
 counts of the torque. For an obeying drive the limited increments have the same signs.
 
-A pair of increments counts only after some ticks with replies in time. After a pause a drive
-replies to every queued command before it obeys the last one, so the next report belongs to an older
-command. On a slow bus a report may come a tick late, and then follows the command before. The test
-uses the larger of the correlations with and without this delay.
+A pair of increments is counted after ``SETTLED_TICKS`` ticks in a row with a reply in time. After a
+pause, a drive replies to every queued command before it obeys the last one, so its next report
+belongs to an older command. On a slow bus a report may come a tick late. It then belongs to the
+command of a tick earlier. The test uses the larger of the two correlations, with and without this
+delay.
 """
 
 import math
@@ -32,41 +35,47 @@ from handctl.core.constants import ConstantTables
 from handctl.safety.faults.node import REPORTED_FRACTION, REPORTED_S
 
 MIN_FILLING = 0.9
-"""Response of the low-pass filter to a constant 1 from which the test is made: most of its memory is filled."""
+"""Response of the low-pass filter to a constant 1 above which the test is made.
+
+Its memory is then 90 % filled.
+"""
 SIGMAS = 4.0
-"""Margin of the test, in standard deviations of the estimated correlation."""
+"""Margin of the test, in standard deviations of the estimated covariance."""
 SETTLED_TICKS = 3
-"""Ticks in a row with a reply in time before a report is attributed to a command.
+"""Ticks in a row with a reply in time after which a report is attributed to a command.
 
 A command takes effect a tick later, and an increment needs two commands.
 """
 MOVED_FRACTION = 1.0 / 4000.0
-"""Smallest increment, as a fraction of the largest force: half a count of a 12-bit torque.
+"""Smallest increment (rms) for the test, as a fraction of the largest force: half a count of a 12-bit torque.
 
-Rounding dominates smaller increments. If a drive's torque has a larger count, half of that count is
-used.
+Smaller increments consist mostly of rounding errors. If one count of a drive's torque is larger,
+half of that count is used.
 """
 LARGEST_INCREMENT = 4.0
 """Limit of an increment, as a multiple of the smallest one. Noise makes increments of about this size in a hold."""
 SERVO_COUNTS = 0.75
-"""Smallest increment for a drive that closes the position loop, in counts of position and speed.
+"""Smallest increment (rms) for a drive that closes the position loop, in counts of position and speed.
 
-The report contains rounded numbers, and the drive computes with unrounded ones. They differ by 0.3
-counts (rms).
+The report contains a rounded position and speed, but the drive computes with unrounded values. They
+differ by 0.3 counts (rms).
 """
 MIN_SERVO_SHARE = 0.01
-"""Fraction of recent ticks with a position loop from which this rounding counts."""
+"""If a drive closed its position loop in a larger fraction of the recent ticks, ``SERVO_COUNTS`` applies."""
 AA, AB, AB_LATE, BB, FULL = range(5)
-"""Rows of ``block.REPORT_MOMENTS``: command squared, command times report, command times report of a tick later,
-report squared, and the response to a constant 1."""
+"""Rows of ``block.REPORT_MOMENTS``, low-passed products of increments.
+
+They are: command squared, command times report, the earlier command times report (for a report that
+comes a tick late), report squared, and the response of the filter to a constant 1.
+"""
 
 
 @inner
 def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
-    """Update the moments of the increments.
+    """Update the low-passed products of the increments of command and report.
 
-    A drive replies to a command before it obeys it, so the report of a tick belongs to the command
-    before the last.
+    A drive replies to a command before it obeys the command, so its report in this tick belongs to
+    the command before the last.
 
     Args:
         x: state tables.
@@ -75,7 +84,7 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / REPORTED_S)
     for n in range(x.tendon.shape[1]):
-        # Commands of this tick and of the three ticks before, newest first.
+        # The last command, and the three commands before it, the newest first.
         command = x.tendon[s.COMMANDED_FORCE, n]
         first = x.tendon[s.REPORT_FORCES, n]
         second = x.tendon[s.REPORT_FORCES + 1, n]
@@ -102,8 +111,8 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
             _low_pass_moment(x, n, FULL, fraction, 1.0)
         x.tendon[s.REPORT_ON_TIME, n] = settled
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
-            # The force predicted for this report takes the place of the command, so the history is
-            # shifted by a tick.
+            # For such a drive, the force predicted for this report replaces the command, so the
+            # stored history is shifted by a tick.
             x.tendon[s.REPORT_FORCES, n] = first
             x.tendon[s.REPORT_FORCES + 1, n] = second
         else:
@@ -137,11 +146,12 @@ def _low_pass_moment(x: Tables, n: int, moment: int, fraction: float, value: flo
 
 @inner
 def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
-    """Return True if a motor's report does not follow the command."""
+    """Return True if the torque that a motor reports does not follow its commanded torque."""
     aa = x.tendon[s.REPORT_MOMENTS + AA, n]
     bb = x.tendon[s.REPORT_MOMENTS + BB, n]
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
-    # Command and report must both change by more than rounding. A constant report is another fault.
+    # Command and report must both change by more than rounding errors. A constant report is a sign
+    # of another fault.
     moves = min(aa, bb) > square(_smallest_increment(x, c, n))
     if x.tendon[s.REPORT_MOMENTS + FULL, n] <= MIN_FILLING or not moves:
         return False
@@ -150,7 +160,7 @@ def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
 
 @inner
 def fraction_of_command_reported(x: Tables, n: int) -> float:
-    """Return the reported fraction of the command's changes, 1 for an obeying drive."""
+    """Return the fraction of the changes of a motor's command that its reports show, 1 for a drive that obeys."""
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
-    # The lower bound only prevents a division by 0.
+    # The lower bound of the divisor prevents a division by 0.
     return ab / max(x.tendon[s.REPORT_MOMENTS + AA, n], 1e-300)

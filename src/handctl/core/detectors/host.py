@@ -1,4 +1,4 @@
-"""Detectors of rows H01 to H03, I07 and I11, see ``safety.faults.host``."""
+"""Detectors of host faults, rows H01 to H03, I07 and I11 of the fault catalogue, see ``safety.faults.host``."""
 
 from handctl.compiled import inner
 from handctl.core import block as s
@@ -11,8 +11,8 @@ from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, I11A, I11B, LA
 
 @inner
 def detect_host_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
-    """Run the detectors of this module, and write their results."""
-    # Lateness as a fraction of the period.
+    """Run the detectors of host faults, and write their results into the evidence table."""
+    # Delay of the tick's start, as a fraction of the control period.
     late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]
     missed = x.run_int[s.MISSED_TICKS]
     if late > LATE_FRACTION:

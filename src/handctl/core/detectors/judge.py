@@ -1,6 +1,7 @@
-"""Judgement of a tick: update the detectors' memory, find faults, and debounce them.
+"""Fault detection of a tick: update the memory of the detectors, find faults, and debounce them.
 
-``safety.judge`` latches faults, adds the reports of buses and host, and chooses the reaction.
+Afterwards ``safety.judge`` latches these faults, adds those that buses and host report, and chooses
+the reaction.
 """
 
 import math
@@ -31,12 +32,15 @@ from handctl.safety.faults.table import ACTIONS, DEBOUNCE
 
 FAULT_ROWS = len(ACTIONS)
 ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
-"""Numbers of ``core.types.Mode``. Torque may act from ARMING to RELAX, and must not act in DISARM and CUT."""
+"""Values of ``core.types.Mode``.
+
+Motor torque may act from ARMING to RELAX, and must not act in DISARM and CUT.
+"""
 
 
 @inner
 def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]:
-    """Find the faults of a tick, and debounce them. Write the number of newly active faults to ``NEW_FAULTS``.
+    """Find the faults of a tick, debounce them, and write the number of newly active faults to ``NEW_FAULTS``.
 
     Args:
         x: state tables.
@@ -44,8 +48,8 @@ def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> t
         initial: state tables before the first tick.
 
     Returns:
-        Largest action of all active faults, and evidence (faults, instances) of each fault, NaN
-            where absent.
+        Most severe action of all active faults, and the evidence of each fault (faults, instances),
+        NaN where the fault is absent.
     """
     mode = x.run_int[s.MODE]
     armed = ARMING <= mode <= RELAX
@@ -72,7 +76,7 @@ def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> t
 
 @inner
 def update_fault_memory(x: Tables, c: ConstantTables) -> None:
-    """Update the detectors' memory of a hand under torque."""
+    """Update the memory of the detectors that work while the hand is under torque."""
     missed = x.run_int[s.MISSED_TICKS]
     tared = x.run_int[s.TARED] == 1
     slip.update_slip(x, c, tared)
@@ -87,7 +91,10 @@ def update_fault_memory(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def debounce_faults(x: Tables, evidence: Evidence) -> int:
-    """Count the ticks in a row with each fault. Return the largest action of all active faults."""
+    """Count the ticks in a row in which each fault is present.
+
+    Return the most severe action of the active faults.
+    """
     action = 0
     fresh = 0
     for row in range(evidence.shape[0]):

@@ -1,4 +1,4 @@
-"""Detectors of rows N01 to N17, see ``safety.faults.node``."""
+"""Detectors of the faults of drives and sensors, rows N01 to N17 of the fault catalogue, see ``safety.faults.node``."""
 
 import math
 
@@ -48,14 +48,14 @@ from handctl.safety.faults.node import (
 )
 
 ROW_OF_CAUSE = (N11, N01, N08, N10, N11, N12, N11, N11B)
-"""Fault of each ``drives.causes.Cause``."""
+"""Fault for each value of ``drives.causes.Cause``."""
 PHASE_FAULT = 4
-"""Number of ``drives.contract.Phase.FAULT``."""
+"""Value of ``drives.contract.Phase.FAULT``."""
 
 
 @inner
 def detect_node_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
-    """Run the detectors of this module that need no torque, and write their results."""
+    """Run the detectors of node faults that need no torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
             evidence[N09A, n] = x.tendon[s.TEMPERATURE, n]
@@ -75,7 +75,10 @@ def detect_node_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evid
 
 @inner
 def _detect_drive_errors(x: Tables, evidence: Evidence) -> None:
-    """Find the errors that drives report, one row per cause."""
+    """Find the errors that drives report.
+
+    Each cause of an error has its row in the evidence table.
+    """
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.PHASE, n] == PHASE_FAULT:
             evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[s.FAULT_CODE, n]
@@ -83,7 +86,7 @@ def _detect_drive_errors(x: Tables, evidence: Evidence) -> None:
 
 @inner
 def _detect_silent_sensors(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find silent load cells and joint encoders."""
+    """Find load cells and joint encoders that have sent no reading for too long."""
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
         age = cell_ticks_overdue(x, c, n, now_ns)
@@ -101,7 +104,10 @@ def _detect_silent_sensors(x: Tables, c: ConstantTables, evidence: Evidence) -> 
 
 @inner
 def _detect_rejected_positions(x: Tables, evidence: Evidence) -> None:
-    """Find rejected positions. The result row of joints follows the row of motors."""
+    """Find rejected positions of motors and joints.
+
+    The evidence row of joints follows the evidence row of motors.
+    """
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.REJECTED_STEP, n] > 0.0:
             evidence[N05A, n] = x.tendon[s.REJECTED_STEP, n]
@@ -109,7 +115,8 @@ def _detect_rejected_positions(x: Tables, evidence: Evidence) -> None:
                 evidence[N05B, n] = x.tendon[s.REJECTED_STEP, n]
     for j in range(x.joint.shape[1]):
         if x.joint[s.REJECTED_JOINT_STEP, j] > 0.0:
-            # A fault of motors and joints has two rows. The row of the joints is the second.
+            # A fault that motors and joints can have takes two rows of the evidence table. The
+            # second row is for joints.
             evidence[N05A + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
             if x.joint[s.REJECTED_JOINT_ANGLES, j] > 1.0:
                 evidence[N05B + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
@@ -117,7 +124,7 @@ def _detect_rejected_positions(x: Tables, evidence: Evidence) -> None:
 
 @inner
 def detect_node_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Run the detectors that need a hand under torque, and write their results."""
+    """Run the detectors of node faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
         if slip > SLIP_WARN_DEG:
@@ -139,7 +146,10 @@ def detect_node_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evid
 
 @inner
 def _detect_stuck_encoders(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find encoders with constant readings despite motion. The result row of joints follows the row of motors."""
+    """Find encoders whose readings are constant despite motion.
+
+    The evidence row of joints follows that of motors.
+    """
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
             goal = stuck.motion_since_reading(x.tendon[s.FILTERED_GOAL, n], x.tendon[s.MOTOR_ANCHOR, n])

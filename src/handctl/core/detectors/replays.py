@@ -1,9 +1,10 @@
-"""Detection of old load-cell readings under a fresh counter.
+"""Detection of old load-cell readings in frames with a fresh SYNC counter.
 
-A reading has noise of several counts. If each reading of a channel equals the reading of a fixed
-number of ticks ago, the channel sends old readings. A delay of n ticks that starts without a gap
-sends n readings twice. A constant channel, or a loop in a limit cycle of a few counts, repeats its
-readings without a fault. ``stuck`` judges these cases.
+The reading of a load cell has noise of several counts. If each reading of a channel equals its
+reading a fixed number of ticks ago, the channel sends old readings. If a delay of n ticks starts
+without a gap, n readings are sent twice. A channel with a constant reading repeats its readings
+too, and so does a control loop in a limit cycle of a few counts. These repetitions are no fault
+here. The detector ``stuck`` judges constant readings.
 """
 
 import math
@@ -14,20 +15,23 @@ from handctl.core.block import Tables
 from handctl.safety.faults.tendon import MIN_REPEATS, REPEAT_WINDOW
 
 MAX_AGE_TICKS = 64
-"""Largest age of a repeated reading that is searched [ticks]."""
+"""Number of earlier readings of a channel with which each reading is compared."""
 LIMIT_CYCLE_VALUES = 5
-"""Largest number of different readings in a limit cycle. Readings in a limit cycle are not independent."""
-MIN_LOG_IMPROBABILITY = math.log(1e16)
-"""Negative logarithm of the largest probability of a run of equal readings that counts as a repetition.
+"""Largest number of different readings in a limit cycle.
 
-With noise of 8 counts two readings are equal in 4 of 100 cases, and a run of 12 readings is enough.
-With noise of 1.5 counts a run of 22 readings is necessary.
+The readings of a limit cycle are not independent of each other.
+"""
+MIN_LOG_IMPROBABILITY = math.log(1e16)
+"""Threshold for a repetition: negative logarithm of the probability that a run of equal readings occurs by chance.
+
+With noise of 8 counts, two readings are equal in 4 of 100 cases, and a run of 12 equal pairs
+reaches the threshold. With noise of 1.5 counts, a run of 22 pairs is necessary.
 """
 
 
 @inner
 def update_repetitions(x: Tables, tared: bool) -> None:
-    """Compare the readings of this tick with the readings of the last ``MAX_AGE_TICKS`` ticks."""
+    """Compare the load-cell readings of this tick with the readings of the last ``MAX_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
     for n in range(count):
         x.tendon[s.COMPARED_READING, n] = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
@@ -47,9 +51,10 @@ def update_repetitions(x: Tables, tared: bool) -> None:
 
 @inner
 def age_of_repeated_readings(x: Tables, n: int) -> int:
-    """Return the age of a channel's repeated readings [ticks], 0 if the channel repeats none."""
+    """Return the age of the readings that a load-cell channel repeats [ticks], 0 if it repeats none."""
     longest = x.tendon_int[s.LONGEST_REPETITION, n]
-    # Probability of a run of this length, as a logarithm, because the power is a very small number.
+    # The probability of a run of this length is compared as a logarithm, because the power itself
+    # is too small a number.
     if longest < MIN_REPEATS or -longest * math.log(_chance_of_equal_readings(x, n)) < MIN_LOG_IMPROBABILITY:
         return 0
     for age in range(MAX_AGE_TICKS):
@@ -60,7 +65,7 @@ def age_of_repeated_readings(x: Tables, n: int) -> int:
 
 @inner
 def _chance_of_equal_readings(x: Tables, n: int) -> float:
-    """Return the estimated probability of two equal readings, from the pairs of the last ``REPEAT_WINDOW`` readings."""
+    """Return the probability that two readings are equal, from all pairs of the last ``REPEAT_WINDOW`` readings."""
     pairs = 0
     different = 0
     for a in range(REPEAT_WINDOW):

@@ -1,9 +1,10 @@
-"""Low-passed residuals of a tendon: tension minus motor torque, inertia and friction, and similar differences.
+"""Low-passed residuals of each tendon: motor force minus tension, inertia and friction, and similar differences.
 
-The rotor at the spool obeys m a = F - T - b v - c sign(v), with motor force F, tension T, viscous
-friction b and Coulomb friction c. If the measurements disagree with this equation over 0.2 s, the
-load cell, the motor or the friction differs from the model. The thresholds are far above the noise:
-less than one false alarm in ten thousand hours.
+The rotor obeys m a = F - T - b v - c sign(v), with its mass m, acceleration a and speed v at the
+spool, the motor force F, the tension T, the viscous friction b and the Coulomb friction c. If the
+measurements disagree with this equation over 0.2 s, the load cell, the motor or the friction
+differs from the model. The thresholds are far above the noise: they cause less than one false alarm
+in ten thousand hours.
 """
 
 import math
@@ -20,21 +21,21 @@ from handctl.core.estimation.measure import monitored_tension
 BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCESS_FRICTION = range(8)
 """Rows of ``block.RESIDUAL``."""
 TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
-"""Time constant of each row [s]."""
+"""Time constant of the low-pass filter of each row [s]."""
 GAIN_FRACTION = 0.1
-"""Tolerance of the torque constant K_t, as a fraction of the motor force. Source: usual tolerance of motors."""
+"""Error of the motor force, as a fraction, by the tolerance of the torque constant K_t that is usual for motors."""
 FULL_FRICTION_SPEED = 5e-3
-"""Tendon speed of fully developed friction [m/s]."""
+"""Tendon speed above which friction is fully developed [m/s]."""
 
 
 @inner
 def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
-    """Filter the residuals of a tick.
+    """Update the low-passed residuals of all tendons.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. After missed ticks positions and speeds are
+        missed: ticks missed before the present tick. If ticks were missed, positions and speeds are
             not used.
         tared: True if the load cells' zero is known.
     """
@@ -50,11 +51,12 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
         made = commanded if math.isnan(force) else force
         monitored = monitored_tension(x, c, n, tared)
         if not initialized:
-            # The fast filters start at the present values.
+            # The two fast filters start at the present tension and motor force.
             x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(monitored) else monitored
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
         turned = position - x.tendon[s.LAST_POSITION, n]
-        # Friction as tanh(1000 v): full above some millimetres per second, without chatter at rest.
+        # Friction is proportional to tanh(1000 v). It is fully developed above some millimetres per
+        # second, and does not chatter at rest.
         drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed * 1e3)
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
         balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
@@ -67,7 +69,7 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
         now[QUICK_FORCE] = made
         now[SLIP] = x.tendon[s.SLIP, n]
         now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
-        # Friction has the sign of the speed.
+        # Friction has the sign of the speed, so excess friction is the balance times this sign.
         now[EXCESS_FRICTION] = math.copysign(1.0, speed) * balance if abs(speed) > FULL_FRICTION_SPEED else math.nan
         for row in range(8):
             low = x.tendon[s.RESIDUAL + row, n]
@@ -80,14 +82,14 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
 
 @inner
 def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the tension that friction and the tolerance of the torque constant do not explain [N], 0 or more."""
+    """Return the difference of tension that friction and torque-constant tolerance do not explain [N], 0 or more."""
     explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n])
     return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - explained, 0.0)
 
 
 @inner
 def excess_friction(x: Tables, n: int) -> float:
-    """Return by how much the friction of a moving rotor exceeds the model [N]."""
+    """Return by how much the friction of a moving rotor exceeds the friction of the model [N], 0 or more."""
     return max(
         x.tendon[s.RESIDUAL + EXCESS_FRICTION, n] - GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n]), 0.0
     )

@@ -1,4 +1,4 @@
-"""Tension history of a tendon: time since it was taut, duration of slack, tension at and after a cut of the torque."""
+"""Tension history of a tendon: time since it was taut, duration of slack, tensions at and after a cut of the torque."""
 
 import math
 
@@ -11,12 +11,15 @@ from handctl.core.detectors.residuals import TENSION
 from handctl.safety.faults.tendon import SLACK_N, TAUT_N
 
 LATE_READING_S = 0.08
-"""Time after the cut from which the latest reading is stored as the tension after the cut [s]."""
+"""Time after a cut of the torque from which each new reading is stored as the tension after the cut [s]."""
 
 
 @inner
 def update_slack_history(x: Tables, c: ConstantTables) -> None:
-    """Update the history under torque. Tensions of a spool pair count in the direction of the command."""
+    """Update the tension history of a hand under torque.
+
+    Tensions of a spool pair are positive in the direction of the commanded tension.
+    """
     x.run_int[s.CUT_TICKS] = -1
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.RESIDUAL + TENSION, n]
@@ -25,7 +28,8 @@ def update_slack_history(x: Tables, c: ConstantTables) -> None:
         if pair and commanded < 0.0:
             tension = -tension
             commanded = -commanded
-        # Without a commanded tension the history is cleared, so that no tendon counts as snapped.
+        # Without a commanded tension, the history of a tendon is cleared, so that the tendon does
+        # not count as snapped.
         if math.isnan(commanded):
             x.tendon_int[s.TICKS_SINCE_TAUT, n] = -1
             x.tendon_int[s.SLACK_TICKS, n] = 0
@@ -34,21 +38,21 @@ def update_slack_history(x: Tables, c: ConstantTables) -> None:
             x.tendon_int[s.SLACK_TICKS, n] = 0
         elif x.tendon_int[s.TICKS_SINCE_TAUT, n] >= 0:
             x.tendon_int[s.TICKS_SINCE_TAUT, n] += 1
-            # Below twice the pretension both tendons of a pair are taut, whatever the net tension
-            # is.
+            # As long as less than twice the pretension is commanded, no tendon of a spool pair
+            # counts as slack, because both are taut at any smaller net tension.
             loose = tension < SLACK_N and commanded > max(TAUT_N, 2.0 * c.tendon[h.PRETENSION, n])
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
         is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
-        x.tendon_int[s.IS_TAUT, n] = is_taut or pair  # one of the two is always taut
+        x.tendon_int[s.IS_TAUT, n] = is_taut or pair  # one tendon of a spool pair is always taut
 
 
 @inner
 def update_history_after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Update the history after a cut of the torque.
+    """Update the tension history of a hand whose torque was cut.
 
-    The tension at the cut is the reading in the tick of the cut. If it is missing, the last reading
-    before the cut is used, or the first later reading. Frames are often missing when a cut is
-    necessary.
+    The tension at the cut is the reading of the tick in which the torque is cut. If this reading is
+    missing, the last reading before the cut is used, or else the first later reading. Readings are
+    often missing in a tick in which a cut is necessary.
 
     Args:
         x: state tables.

@@ -1,4 +1,4 @@
-"""Slip of a tendon: change of the difference of joint encoders and spool since the tendon became taut."""
+"""Slip of a tendon: change of the difference between spool and joint encoders, since the tendon became taut."""
 
 import math
 
@@ -11,7 +11,7 @@ from handctl.core.estimation.measure import monitored_tension
 from handctl.safety.faults.tendon import DERAILED_DEG, SLACK_N, TAUT_N
 
 SETTLE_S = 0.1
-"""Time for which a tendon must be taut before its reference of joint encoders against spool is measured [s]."""
+"""Time for which a tendon must be taut before the reference for its slip is measured [s]."""
 DEG_PER_RAD = 180.0 / math.pi
 
 
@@ -28,7 +28,7 @@ def update_slip(x: Tables, c: ConstantTables, tared: bool) -> None:
     for n in range(x.tendon.shape[1]):
         tension = monitored_tension(x, c, n, tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]  # one of the two is always taut
+            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]  # one tendon of a spool pair is always taut
         elif tension < SLACK_N:
             x.tendon[s.TAUT_S, n] = 0.0
         elif tension > TAUT_N:

@@ -1,8 +1,9 @@
 """Detection of stuck readings. A reading is stuck if it is constant while a correlated reference signal moves.
 
-A sensor whose reference is at rest is healthy. A motor's encoder has two references: the tendon's
-goal and the tension. The reference of a load cell is the motor force. The reference of a joint
-encoder is the joint angle by the spools.
+A constant reading is no fault while its reference is at rest. A motor's encoder has two references:
+the goal of the tendon's excursion, and its tension. The reference of a load cell is the motor
+force. The reference of a joint encoder is the joint angle that is computed from the positions of
+the spools.
 """
 
 import math
@@ -17,20 +18,20 @@ from handctl.core.estimation.structure import joint_excursion
 from handctl.core.law.reference import is_tendon_streamed
 
 FOLLOW_S = 0.1
-"""Time constant with which a motor follows a jump of its goal, with a large margin [s]."""
+"""Time constant that is assumed for a motor that follows a jump of its goal, with a large margin [s]."""
 SLOW_GOAL_M_S = 2e-3
-"""Speed of a goal below which the motor follows without delay [m/s]."""
+"""Speed of a goal below which the motor is assumed to follow without delay [m/s]."""
 ARRIVED_M = 0.2e-3
-"""Distance of excursion and goal below which a motor has reached its goal [m]."""
+"""Distance between excursion and goal below which a motor has reached its goal [m]."""
 GOAL_JUMP_M = 2.0 * ARRIVED_M
-"""Step of the filtered goal in a tick from which it counts as a jump and not as a motion of the digit [m]."""
+"""Step of the filtered goal in a tick above which the step counts as a jump, and not as a motion of the digit [m]."""
 PRESSED_N = 8.0
-"""Tension above the tension goal from which a streamed digit counts as held by an object [N]."""
+"""Tension in excess of its goal above which a streamed digit counts as held by an object [N]."""
 
 
 @inner
 def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Update the stuck counts. A missing reading changes no count.
+    """Update the number of constant readings of each sensor. A missing reading changes no number.
 
     Args:
         x: state tables.
@@ -38,8 +39,8 @@ def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
         tared: True if the load cells' zero is known.
     """
     for n in range(x.tendon.shape[1]):
-        # Not the travel: it changes with the angle of a carrier while the encoder's reading is
-        # constant.
+        # The position of the encoder is tested, and not the travel. The travel also changes with
+        # the angle of a carrying joint.
         value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL_RADIUS, n]
         last = x.tendon[s.STUCK_TEST_POSITION, n]
         moved = not math.isnan(value) and value != last
@@ -76,7 +77,7 @@ def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
 
 @inner
 def reference_tension(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the tension of a tendon as a reference of its motor [N], NaN if other motors change this tension too.
+    """Return the tension of a tendon as a reference for its motor's encoder [N], NaN if other motors change it too.
 
     In a digit with surplus tendons an antagonist can stretch a tendon whose own motor is at rest.
     """
@@ -85,7 +86,10 @@ def reference_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def are_all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
-    """Return True if all tendons that move a joint are taut. The spool of a slack tendon does not move the joint."""
+    """Return True if all tendons that move a joint are taut.
+
+    The spool of a slack tendon does not move the joint.
+    """
     for n in range(x.tendon.shape[1]):
         if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
             return False
@@ -94,7 +98,7 @@ def are_all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
 
 @inner
 def joint_angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
-    """Return the joint angle by the positions of the spools [rad], NaN if a tendon of the joint is slack."""
+    """Return the joint angle by the positions of the spools [rad], NaN if a tendon that moves the joint is slack."""
     if not are_all_tendons_taut(x, c, j):
         return math.nan
     angle = c.joint[h.ANGLE_OFFSET, j]
@@ -107,20 +111,21 @@ def joint_angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
 
 @inner
 def motion_since_reading(reference: float, anchor: float) -> float:
-    """Return how far a reference has moved since the reading became constant, 0 if unknown."""
+    """Return how far a reference has moved since the sensor's reading became constant, 0 if unknown."""
     apart = abs(reference - anchor)
     return 0.0 if math.isnan(apart) else apart
 
 
 @inner
 def filter_goals(x: Tables, c: ConstantTables) -> None:
-    """Filter each motor's goal to the speed of a motor, so that a motor is not stuck when its goal jumps.
+    """Filter the goal of each motor to the speed of a motor, so that no motor counts as stuck when its goal jumps.
 
-    While the reading changes, the filtered goal equals the goal. The motion of the filtered goal
-    since the reading became constant counts, because friction may stop the motor before the goal.
-    When a motor has reached its goal, the filtered goal is set to the digit's position, and a jump
-    of the filtered goal by this does not count. The goal of a streamed digit that presses on an
-    object does not count either: a client may send targets beyond an object that it does not know.
+    While the encoder's reading changes, the filtered goal equals the goal. The detector judges the
+    motion of the filtered goal since the reading became constant, because friction may stop the
+    motor before the goal. When a motor has reached its goal, the filtered goal is set to the
+    estimated excursion. A jump of the filtered goal by this setting is not judged. The goal of a
+    streamed digit that presses on an object is not judged either, because a client may send targets
+    beyond an object that the client does not know.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S)
     min_step = SLOW_GOAL_M_S * c.run[h.PERIOD]
@@ -141,8 +146,8 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
         if abs(goal - present) < ARRIVED_M:
             x.tendon[s.FILTERED_GOAL, n] = present
             if abs(present - before) > GOAL_JUMP_M:
-                # The filtered goal jumps to the position of the digit. No motor had to follow this
-                # jump.
+                # The filtered goal jumps to the estimated excursion. No motor had to follow this
+                # jump, so the anchor moves too.
                 x.tendon[s.MOTOR_ANCHOR, n] += present - before
         elif _presses(x, c, n):
             x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - before
@@ -150,5 +155,5 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def _presses(x: Tables, c: ConstantTables, n: int) -> bool:
-    """Return True if the tension in a tendon of a streamed digit is much larger than its goal."""
+    """Return True if a streamed digit presses: the tension of its tendon is much larger than the tension goal."""
     return is_tendon_streamed(x, c, n) and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSED_N

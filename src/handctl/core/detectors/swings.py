@@ -1,8 +1,8 @@
-"""Detection of a tension that oscillates about the command, because of torque ripple or an unstable loop.
+"""Detection of a tension that oscillates about the commanded tension, by torque ripple or by an unstable control loop.
 
 A torque ripple of 0.1 N m near the resonance of rotor and tendon (about 20 Hz) makes the tension
-oscillate by tens of newtons, below every other threshold. Cogging torque does not appear in the
-motor current, so N14 cannot detect it.
+oscillate by tens of newtons. No other detector has a threshold that finds this. Cogging torque does
+not appear in the motor current, so fault N14 (reported against commanded torque) cannot detect it.
 """
 
 import math
@@ -15,14 +15,17 @@ from handctl.core.constants import ConstantTables
 from handctl.safety.faults.node import SWING_N
 
 SLOW_S = 0.02
-"""Time constant of the subtracted slow part of the deviation [s]. Its corner is at ``SWING_HZ``."""
+"""Time constant of the slow part that is subtracted from the tension error [s].
+
+It belongs to ``SWING_HZ``.
+"""
 MEAN_S = 0.025
-"""Time constant of the mean square [s]."""
+"""Time constant of the mean square of the remaining, fast part [s]."""
 
 
 @inner
 def update_swing(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Update the mean square of each tension's oscillation, from measured minus commanded tension."""
+    """Update the mean square of the oscillation of each tension, from measured minus commanded tension."""
     period = c.run[h.PERIOD]
     slow = 1.0 - math.exp(-period / SLOW_S)
     mean = 1.0 - math.exp(-period / MEAN_S)

@@ -1,4 +1,4 @@
-"""Detectors of rows T01 to T09, see ``safety.faults.tendon``."""
+"""Detectors of the faults of tendons and load cells, rows T01 to T09 of the catalogue, see ``safety.faults.tendon``."""
 
 import math
 
@@ -45,38 +45,38 @@ from handctl.safety.faults.tendon import (
 )
 
 MODE_RELAX = 5
-"""Number of ``core.types.Mode.RELAX``."""
+"""Value of ``core.types.Mode.RELAX``."""
 
 
 @inner
 def detect_tendon_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
-    """Run the detectors of this module that need no torque, and write their results."""
+    """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
     rail = c.run[h.TENSION_RAIL]
     low = c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
     relaxed = x.run_int[s.MODE] == MODE_RELAX and relaxing_s > RELAXED_S
     for n in range(x.tendon.shape[1]):
-        # The load cell is read before its tare as well.
+        # The load-cell reading is tested even before the tare of the load cell is known.
         tension = monitored_tension(x, c, n, True)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             tension = abs(tension)  # both directions of a spool pair have the same limit
         if c.tendon[h.TENSION_TRIP, n] < tension < rail:
             evidence[T03, n] = tension
-        # Only a load cell proves that the drive exceeds its own limit. An estimated tension does
-        # not.
+        # A measured tension above the drive's torque limit proves that the drive does not obey this
+        # limit. An estimated tension proves nothing.
         if c.tendon[h.DRIVE_LIMIT, n] < tension < rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
             evidence[T03B, n] = tension
         if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
-        # The raw reading may be at an end of its range, or the tared reading beyond any tension.
-        # Either may be hidden by the tare, so both are tested.
+        # The raw reading may be at an end of its range, or the tared reading may be beyond any
+        # possible tension. The tare may hide either case, so both are tested.
         if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
             evidence[T06, n] = tension
 
 
 @inner
 def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Run the detectors that need a hand under torque, and write their results."""
+    """Run the detectors of tendon faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         _detect_slack(x, c, n, evidence)
         unexplained = residuals.unexplained_tension(x, c, n)
@@ -103,9 +103,9 @@ def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Ev
 def _planned_speed(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
-    It is 0 without a stream. Moves of tasks are slow, and the spool of a torn tendon follows them.
-    If their speed were subtracted as well, a torn tendon would be found half a second later, as
-    slack (T02b).
+    It is 0 for a digit without a stream. The moves of tasks are slow, and the spool of a torn
+    tendon still follows them. If the speed of these moves were subtracted too, a torn tendon would
+    be found half a second later, as a slack tendon (fault T02b).
     """
     speed = 0.0
     if not is_tendon_streamed(x, c, n):
@@ -119,7 +119,7 @@ def _planned_speed(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def _detect_slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
-    """Find a tendon without tension: snapped if the spool runs, slack if tension is commanded."""
+    """Find a tendon that lost its tension: snapped if its spool runs, slack if tension is commanded."""
     period = c.run[h.PERIOD]
     commanded = x.tendon[s.COMMANDED_TENSION, n]
     speed = x.tendon[s.SPEED, n]

@@ -1,4 +1,4 @@
-"""Log events of tendons whose model has become inconsistent or consistent, and of blocked digits."""
+"""Log events for tendons whose model has become inconsistent or consistent again, and for blocked digits."""
 
 from typing import Any, Protocol
 
@@ -11,18 +11,18 @@ from handctl.core.types import Event
 
 
 class NamedFields(Protocol):
-    """A state with named fields."""
+    """State block whose fields are read by name."""
 
     def view(self, name: str) -> NDArray[Any]:
-        """Return a field."""
+        """Return the array of a field."""
         ...
 
 
 def consistency_events(model: HandModel, before: NamedFields, after: NamedFields) -> tuple[Event, ...]:
-    """Return the events of the changes between two ticks.
+    """Return the log events for changes of consistency and blocking between two ticks.
 
     Args:
-        model: the hand.
+        model: model of the hand.
         before: state after the last tick.
         after: state in the present tick.
     """

@@ -1,17 +1,19 @@
-"""Force at the tips of closing digits, which shows a contact, and opening of a grip.
+"""Force at the tip of a closing digit, which shows a contact, and opening of a digit that holds an object.
 
-While a digit closes, its unexplained tension is converted into a force at the tip. Each tendon is
-weighted by its load under a unit force at the tip. A proximal tendon has the largest load and the
-least friction, so it counts most. The force is low-passed over a few milliseconds, because the
-force of a contact is constant and that of a chattering tendon alternates.
+While a digit closes, the unexplained tensions of its tendons are converted into a force at its tip.
+Each tendon is weighted by its load under a unit force at the tip. A proximal tendon has the largest
+load and the least friction, so it has the largest weight. The force is low-passed over a few
+milliseconds. The force of a contact then remains, and the alternating force of a chattering tendon
+cancels.
 
-Two errors are subtracted. If the model expects too much tension, the force is negative and hides a
-contact. This lasts longer than a contact takes to grow, so a negative mean is subtracted. If a load
-cell drifts, the force is positive during all of the closing, so a positive mean over a long time is
-subtracted as well.
+Two errors of this force are corrected. If the model expects too much tension, the force is negative
+and hides a contact. This error lasts longer than a contact force takes to grow, so a negative mean
+is subtracted. If a load cell drifts, the force is positive from the start to the end of closing, so
+a positive mean over a long time is subtracted too.
 
-While a digit holds, the length wound on the spool minus the tendon's stretch is known to a few
-micrometres. A fast and a slow average of this length differ when a digit is pushed open.
+While a digit holds an object, the length wound on the spool minus the stretch of the tendon is
+known to a few micrometres. If the digit is pushed open, a fast and a slow average of this length
+differ.
 """
 
 import math
@@ -30,20 +32,23 @@ from handctl.core.estimation.statics import link_poses_of_hand, write_tip_levers
 Vector = NDArray[np.float64]
 
 SMOOTH_S = 5e-3
-"""Time constant of the smoothed tip force [s]. A contact is found in four times this time."""
+"""Time constant of the smoothed tip force [s]. A contact is found within four times this time."""
 MEAN_S = 0.15
-"""Time constant of the mean tip force [s]. A contact force grows in a fraction of this time."""
+"""Time constant of the mean tip force [s]. A contact force grows within a fraction of this time."""
 DRIFT_S = 2.0
-"""Time constant of the drift of the tip force [s], about the duration of a closing."""
+"""Time constant of the mean tip force that is subtracted as drift [s], about the time in which a digit closes."""
 FAST_GRIP_S = 0.02
-"""Time constant of the fast average of a grip [s]."""
+"""Time constant of the fast average of wound length minus stretch, while the hand holds an object [s]."""
 SLOW_GRIP_S = 0.2
-"""Time constant of the slow average of a grip [s]."""
+"""Time constant of the slow average of wound length minus stretch, while the hand holds an object [s]."""
 
 
 @inner
 def update_tip_forces(x: Tables, c: ConstantTables) -> None:
-    """Update the tip forces of closing digits. Reset the forces of other digits, but keep their drift."""
+    """Update the tip forces of closing digits.
+
+    Reset those of all other digits, but keep their drift.
+    """
     closing = False
     for d in range(x.digit.shape[1]):
         if x.digit_int[s.CLOSING, d]:
@@ -63,7 +68,8 @@ def update_tip_forces(x: Tables, c: ConstantTables) -> None:
         mean = force if math.isnan(x.digit[s.TIP_FORCE_MEAN, d]) else x.digit[s.TIP_FORCE_MEAN, d]
         drift = 0.0 if math.isnan(x.digit[s.TIP_FORCE_DRIFT, d]) else x.digit[s.TIP_FORCE_DRIFT, d]
         x.digit[s.SMOOTHED_TIP_FORCE, d] = force
-        # A negative mean is an error of the model. A positive drift is an error of the load cell.
+        # A negative mean is attributed to an error of the model, and a positive drift to an error
+        # of the load cell.
         x.digit[s.CONTACT_FORCE, d] = force - min(mean, 0.0) - max(drift, 0.0)
         x.digit[s.TIP_FORCE_MEAN, d] = mean + c.run[h.TIP_FORCE_MEAN_FRACTION] * (force - mean)
         x.digit[s.TIP_FORCE_DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (force - drift)
@@ -71,9 +77,9 @@ def update_tip_forces(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def _write_tip_levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
-    """Write the levers (J,) [m] of forces at the tips about the joints, at the free angles.
+    """Write the lever (J,) [m] of a force at a digit's tip about each joint, at the joint angles of a free digit.
 
-    A closing digit is free until contact is found.
+    A digit that closes counts as free until its contact is found.
     """
     q = np.zeros(x.joint.shape[1])
     write_free_angles(x, c, s.EXCURSION, q)
@@ -84,7 +90,7 @@ def _write_tip_levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
 
 @inner
 def _fit_tip_force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float:
-    """Return the force at a tip that fits the digit's unexplained tensions best, by least squares [N]."""
+    """Return the tip force that fits the unexplained tensions of a digit best, by least squares [N]."""
     work = 0.0
     size = 0.0
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
@@ -98,10 +104,13 @@ def _fit_tip_force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float
 
 @inner
 def average_grip_travel(x: Tables, c: ConstantTables) -> None:
-    """Average the length wound minus stretch. Until slip is judged, the slow average equals the fast average."""
+    """Update both averages of wound length minus stretch.
+
+    The slow one equals the fast one until slip is judged.
+    """
     judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_JUDGED_FROM]
     for n in range(x.tendon.shape[1]):
-        # Length wound minus elastic stretch: the tendon length that moves the joints.
+        # Wound length minus elastic stretch is the tendon length that moves the joints.
         here = x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
         fast = x.tendon[s.GRIP_TRAVEL_FAST, n]
         slow = x.tendon[s.GRIP_TRAVEL_SLOW, n]

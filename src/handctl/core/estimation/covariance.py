@@ -1,9 +1,10 @@
-"""Propagation of the filter's covariance from a missing measurement until the covariance is steady again.
+"""Propagation of the tension filter's covariance, from a missing measurement until the covariance is steady again.
 
-The steady gains assume a measurement in every tick. If measurements come in every second tick only,
-the steady gains overestimate the speed error and correct for too long. The estimate then oscillates
-or diverges. Therefore a missing measurement starts the propagation of every tendon's covariance.
-The propagation ends when all covariances are close to their steady values.
+The steady-state gains of the filter assume a measurement in every tick. If a measurement comes in
+every second tick only, these gains overestimate the error of the speed, and correct the speed for
+too long. The estimate then oscillates or diverges. Therefore the covariances of all tendons are
+propagated from the first missing measurement on. The propagation ends when all covariances are
+close to their steady values.
 """
 
 import math
@@ -22,27 +23,30 @@ Matrix = NDArray[np.float64]
 
 STATES = 7
 CELL_ERROR = 5
-"""Index of the load-cell error among the states."""
+"""Index of the load-cell error among the states of a tendon."""
 MISSING_VARIANCE_FACTOR = 1e12
-"""Variance factor of a missing measurement. It makes the Kalman gain zero."""
+"""Factor on the variance of a missing measurement. It makes the Kalman gain practically zero."""
 STEADY_FRACTION = 0.02
-"""Largest relative difference of the variances from their steady values in a covariance that counts as steady."""
+"""If each variance differs from its steady value by at most this fraction, the covariance counts as steady."""
 HELD_TORQUE_S = 0.05
-"""Longest time without a command that is predicted [s]. After it the drives' watchdogs have removed the torque."""
+"""Longest time without a command over which states are predicted [s].
+
+After this time the watchdogs of the drives have removed the torque.
+"""
 
 
 @inner
 def correct_covariance(
     x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after: Matrix, information: Vector
 ) -> float:
-    """Correct the covariance by encoder and load cell of a tendon. Joint encoders keep the steady gain.
+    """Correct the covariance of a tendon by its encoder and load cell. The gain for joint encoders does not change.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
         z: (3,) measurements, NaN if missing.
-        gain: (7, 3) steady gains. The first two columns are replaced.
+        gain: (7, 3) steady gains. The first two columns, encoder and load cell, are replaced.
         after: (7, 7) result: covariance after the update.
         information: (3,) result: inverse covariance of the innovations, see
             ``constants.INFORMATION_AT``.
@@ -72,8 +76,8 @@ def correct_covariance(
     information[1] = -2.0 * b / determinant
     information[2] = a / determinant
     for i in range(STATES):
-        # A cell error that cannot be distinguished from tension is not corrected. Its variance
-        # grows instead.
+        # A load-cell error that cannot be distinguished from tension is not corrected. Instead, the
+        # variance of this error grows.
         observed = observable if i == CELL_ERROR else 1.0
         gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
         gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
@@ -92,9 +96,10 @@ def correct_covariance(
 
 @inner
 def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
-    """Predict all covariances (N, 7, 7) to the next tick. End the propagation when all are steady.
+    """Predict the covariances (N, 7, 7) of all tendons to the next tick. End the propagation if all are steady.
 
-    A tendon whose filter kind has changed starts with the steady covariance of the new kind.
+    If the filter design of a tendon has changed, its covariance becomes the steady covariance of
+    the new design.
     """
     periods = 1 + ticks_to_predict(c, missed)
     steady = True
@@ -108,7 +113,7 @@ def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int
             for i in range(STATES):
                 for j in range(STATES):
                     P[i, j] += Q[i, j]
-        # The propagated covariance belongs to the old filter kind.
+        # The propagated covariance belongs to the old filter design.
         if kind != x.tendon_int[s.FILTER_KIND_BEFORE, n]:
             P = _copy_design_matrix(c, n, kind, h.P_AT)
         for i in range(STATES):
@@ -120,13 +125,13 @@ def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int
 
 @inner
 def ticks_to_predict(c: ConstantTables, missed: int) -> int:
-    """Return the number of missed ticks for which the covariance is predicted."""
+    """Return for how many of the missed ticks the covariance is predicted."""
     return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 
 @inner
 def predicted_tension_sigma(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the standard deviation of a predicted tension [N]."""
+    """Return the standard deviation of a tendon's predicted tension [N], from the propagated covariance."""
     kind = x.tendon_int[s.FILTER_KIND, n]
     P = np.empty((STATES, STATES))
     for i in range(STATES):
@@ -137,7 +142,7 @@ def predicted_tension_sigma(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def _present_covariance(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
-    """Return the covariance (7, 7) of a tendon's prediction: propagated or steady."""
+    """Return the covariance (7, 7) of a tendon's predicted states: the propagated or else the steady covariance."""
     P = _copy_design_matrix(c, n, kind, h.P_AT)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
         for i in range(STATES):
@@ -168,7 +173,7 @@ def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
 
 @inner
 def _copy_design_matrix(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
-    """Return a copy of a (7, 7) matrix of the design."""
+    """Return a copy of a (7, 7) matrix of a tendon's filter design."""
     matrix = np.empty((STATES, STATES))
     for i in range(STATES):
         for j in range(STATES):
@@ -178,7 +183,7 @@ def _copy_design_matrix(c: ConstantTables, n: int, kind: int, at: int) -> Matrix
 
 @inner
 def _multiply(left: Matrix, right: Matrix) -> Matrix:
-    """Return the product of two matrices, with sums in a fixed order."""
+    """Return the product of two matrices. The sums are added in a fixed order."""
     matrix = np.zeros((left.shape[0], right.shape[1]))
     for i in range(left.shape[0]):
         for j in range(right.shape[1]):

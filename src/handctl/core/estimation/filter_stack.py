@@ -1,4 +1,4 @@
-"""Arrays of the tension filter: its states and regimes, the design of a tendon, and all tendons as a single filter."""
+"""Arrays of the tension filter: states and regimes of a tendon, its filter designs, and one filter for all tendons."""
 
 import enum
 import functools
@@ -17,37 +17,45 @@ MEASUREMENTS = 3
 X, V, S, W, D, E, O = range(STATES)  # noqa: E741 - the names of the states, as below
 """States of a tendon.
 
-Travel [m] and speed [m/s] at the spool, excursion [m] and rate [m/s], disturbance force on the
-motor [N], load-cell error [N], stretch offset [m].
+They are travel [m] and speed [m/s] at the spool, excursion [m] and its rate [m/s], disturbance
+force on the motor [N], load-cell error [N], stretch offset [m].
 """
 
 
 class Regime(enum.IntEnum):
-    """Regime of a tendon: the coupling of motor and digit in the filter's model."""
+    """Regime of a tendon: how the filter's model couples motor and digit."""
 
     FREE = 0
-    """Taut and free: the digit follows the tendon, and the tension changes no faster than friction reverses."""
+    """The tendon is taut, and the digit follows it freely.
+
+    The tension changes no faster than friction reverses.
+    """
     HELD = 1
-    """Taut, and the digit rests on an object or on the open stop, of unknown stiffness. The digit hardly moves."""
+    """The tendon is taut.
+
+    The digit rests on an object or open stop of unknown stiffness, and hardly moves.
+    """
     SLACK = 2
-    """No tension: the motor moves alone, springs hold the digit on the open stop, the load cell shows its error."""
+    """The tendon is slack.
+
+    The motor moves alone, springs hold the digit open, and the load cell shows its error.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class FilterBlock:
-    """Steady-state filter of a tendon in a regime.
+    """Steady-state filter of one tendon in one regime.
 
     Attributes:
         F: transition over a period, (7, 7).
-        B: inputs held over a period, (7, 2).
-        H: measurements, (3, 7).
+        B: effect of inputs that are constant over a period, (7, 2).
+        H: expected measurements per state, (3, 7).
         K: steady-state gain of the update, (7, 3).
         Q: process noise covariance of a period, (7, 7).
         R: variances of encoder and load cell, (2,).
         P: covariance of the prediction in steady state, (7, 7).
         cell_error_observable: True if the load-cell error is observable.
-        cell_error_variance: variance of an unobservable load-cell error, a part of
-            ``tension_variance`` [N^2].
+        cell_error_variance: part of ``tension_variance`` by an unobservable load-cell error [N^2].
         tension_row: tension per state, (7,).
         tension_variance: variance of the predicted tension [N^2].
         innovation_information: inverse covariance of encoder and load-cell innovations, (2, 2).
@@ -70,7 +78,9 @@ class FilterBlock:
 
 
 class Transition(NamedTuple):
-    """Transition of all tendons over a period. The 7 N states are the travels of all tendons, then the speeds, ...
+    """Transition of the states of all tendons over a period.
+
+    The 7 N states are the travels of all tendons, then their speeds, and so on.
 
     Attributes:
         F: transition of the states, (7N, 7N).
@@ -82,7 +92,11 @@ class Transition(NamedTuple):
 
 
 TRANSITION_CACHE_SIZE = 256
-"""Number of cached transitions. One of eleven tendons takes 60 kB, and there are 6^11 combinations of kinds."""
+"""Number of cached transitions.
+
+The transition of a hand with eleven tendons takes 60 kB, and its tendons have 6^11 combinations of
+design kinds.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,22 +104,22 @@ class FilterDesign:
     """Filters of all tendons.
 
     Attributes:
-        blocks: ``blocks[tendon][kind]``. The kind is the regime, plus 3 for a filter with added
-            noise.
-        transition: function from the N kinds, as bytes of int64, to the transition of all tendons.
-            It is cached, because kinds change in few ticks.
+        blocks: filter of each tendon and kind, ``blocks[tendon][kind]``. The kind is the regime,
+            plus 3 for a filter with added process noise.
+        transition: function that returns the transition of all tendons for their N kinds, given as
+            the bytes of int64 numbers. Its results are cached, because kinds change in few ticks.
     """
 
     blocks: tuple[tuple[FilterBlock, ...], ...]
     transition: "Callable[[bytes], Transition]" = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Make the cache of the transition matrices."""
+        """Create the cache of the transition matrices."""
         object.__setattr__(self, "transition", functools.lru_cache(TRANSITION_CACHE_SIZE)(self._transition))
 
     @property
     def held_sigma(self) -> Matrix:
-        """Return the standard deviation of the tension of each held tendon, (N,) [N]."""
+        """Return the standard deviation of each tendon's tension in the regime ``HELD``, (N,) [N]."""
         return np.sqrt([tendon[Regime.HELD].tension_variance for tendon in self.blocks])
 
     def _transition(self, kinds: bytes) -> Transition:
@@ -114,10 +128,12 @@ class FilterDesign:
 
 
 def _stack_blocks(blocks: list[Matrix]) -> Matrix:
-    """Return the matrix of N tendons from a block (rows, columns) of each. The tendon is the inner index of rows and
-    columns."""
+    """Return a matrix for N tendons, made of one block (rows, columns) for each tendon.
+
+    The tendon is the inner index of the matrix's rows and columns.
+    """
     n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
-    # Index (row, tendon, column, tendon): only equal tendons are coupled.
+    # Index (row, tendon, column, tendon): each tendon is coupled with itself only.
     matrix = np.zeros((rows, n, columns, n))
     matrix[:, each, :, each] = blocks
     return matrix.reshape(rows * n, columns * n)

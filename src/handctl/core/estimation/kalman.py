@@ -1,10 +1,11 @@
-"""The tension filter: from load cell, encoder and joint encoders to tension, excursion and contact force.
+"""Tension filter: estimates of tension, excursion and contact force from load cells, motor and joint encoders.
 
-All tendons are a single linear filter. ``correct_filter`` corrects the states by the measurements,
-``filterpy`` predicts them to the present (in ``controller.tick``), and ``derive_estimate`` derives
-the estimate. A missing or saturated measurement has no innovation. The covariance is then
-propagated until it is steady again. A single outlier is rejected. The measurements of a tick were
-taken a period earlier, just before the command of that tick took effect.
+One linear filter has the states of all tendons. ``correct_filter`` corrects the states by the
+measurements. ``filterpy`` predicts the states to the present (in ``controller.tick``).
+``derive_estimate`` derives the estimate from the states. A missing or saturated measurement has no
+innovation. After it, the covariance is propagated until it is steady again. A single outlier of a
+load cell is rejected. The measurements that a tick receives were taken one period earlier, just
+before the command of the previous tick took effect.
 """
 
 import math
@@ -43,52 +44,57 @@ FREE = 0
 HELD = 1
 SLACK = 2
 STOP_BAND_REST_M = 2e-5
-"""Excursion above the open stop below which a digit comes to rest on the stop [m]."""
+"""Largest distance of the excursion from the open stop at which a digit comes to rest on the stop [m]."""
 STOP_BAND_STAY_M = 1e-4
-"""Excursion above the open stop below which a digit stays on the stop [m]."""
+"""Largest distance of the excursion from the open stop at which a resting digit stays on the stop [m]."""
 STOP_PULL_REST = 0.8
-"""Pull below which a digit comes to rest on the open stop, as a fraction of the springs' force.
+"""Pull of a tendon below which its digit comes to rest on the open stop, as a fraction of the springs' force.
 
 The fraction is so small that friction cannot hold the digit just above the stop.
 """
 STOP_PULL_STAY = 1.05
-"""Pull below which a digit stays on the open stop, as a fraction of the springs' force."""
+"""Pull of a tendon below which its digit stays on the open stop, as a fraction of the springs' force."""
 SLACK_LENGTH_M = 2e-4
-"""Slack length above which a load cell certainly measures nothing but its error [m]."""
+"""Length of slack above which a load cell certainly measures no tension, but only its error [m]."""
 OUTLIER_GATE = 5.0
-"""Innovation above which a single load-cell sample is rejected, in standard deviations."""
+"""Innovation above which a single load-cell sample is rejected, in standard deviations of the innovation."""
 STEP_GATE = 2.5
-"""Innovation of two load-cell samples in a row, with one sign, above which they count as a step of the tension.
+"""Innovation above which two load-cell samples in a row count as a step of the tension, in standard deviations.
 
-It is in standard deviations.
+Both innovations must have the same sign.
 """
 STEP_FRACTION = 0.8
 """Fraction of the second innovation of a step by which the tension is corrected at once."""
 MEAN_NIS_S = 1.0
-"""Averaging time of NIS for the consistency of the model [s]. The ideal mean is 2."""
+"""Averaging time of the normalised innovation squared (NIS) that judges the model [s].
+
+Its ideal mean is 2.
+"""
 INCONSISTENT_NIS = 8.0
-"""Mean NIS above which the model counts as inconsistent."""
+"""Mean NIS of a tendon above which its model counts as inconsistent."""
 CONSISTENT_NIS = 4.0
-"""Mean NIS below which the model counts as consistent again."""
+"""Mean NIS of a tendon below which its model counts as consistent again."""
 NOISE_NIS_S = 0.25
-"""Averaging time of NIS for adding process noise [s]."""
+"""Averaging time of the NIS that decides about added process noise [s]."""
 NOISE_NIS_LIMIT = 3.2
-"""Mean NIS of a tendon above which process noise is added."""
+"""Mean NIS of a tendon above which process noise is added to its filter."""
 MAX_ADDED_NOISE_S = 20.0
-"""Time for which added process noise is kept after NIS has fallen below the limit [s]."""
+"""Time for which added process noise is kept after the mean NIS has fallen below its limit [s]."""
 ADDED_NOISE_MAX_PERIOD_S = 5e-3
 """Longest control period at which process noise is added [s].
 
-At 100 Hz the filter with added noise passes encoder noise on to the torque: the tensions of jamia11
-with ODrives oscillated up to 234 N instead of 147 N, and a snapped tendon was reported.
+At 100 Hz, a filter with added process noise passes encoder noise on to the torque. The tensions of
+the hand jamia11 with ODrives oscillated up to 234 N instead of 147 N, and a tendon was reported as
+snapped.
 """
 NOISE_NIS_LIMIT_OF_HAND = 2.5
 """Mean NIS over all tendons of the hand above which process noise is added to all tendons.
 
-Wrong friction in all tendons is visible sooner in this mean than in the NIS of a single tendon.
+If the friction of all tendons differs from the hand file, this mean shows it sooner than the NIS of
+a single tendon.
 """
 MAX_NIS_SAMPLE = 100.0
-"""Upper limit of a NIS sample, so that a single sample does not make the model inconsistent."""
+"""Upper limit of each NIS sample, so that a single sample does not make the model of a tendon inconsistent."""
 
 
 @inner
@@ -100,7 +106,7 @@ def filter_kind(x: Tables, n: int) -> int:
 
 @inner
 def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
-    """Correct the filter by the measurements of a tick, and judge slack, stops and contact.
+    """Correct the filter by the measurements of a tick, and judge the slack, the stop and the contact of each tendon.
 
     A digit with ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see ``is_in_contact``.
 
@@ -111,8 +117,8 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
     """
     count = x.tendon.shape[1]
     for n in range(count):
-        # The kind may change below. The measurements are still judged by the kind of the
-        # prediction.
+        # The kind of design may change below. The measurements are still judged by the kind with
+        # which they were predicted.
         x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
@@ -141,8 +147,8 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
 def _usable_measurements(x: Tables) -> Matrix:
     """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN if missing.
 
-    A lost or saturated measurement is missing. The load cell of a tendon that is neither taut nor
-    certainly slack is missing as well.
+    A lost or saturated measurement counts as missing. If a tendon is neither taut nor certainly
+    slack, its load-cell reading counts as missing too.
     """
     z = np.empty((x.tendon.shape[1], 3))
     for n in range(len(z)):
@@ -160,7 +166,7 @@ def _usable_measurements(x: Tables) -> Matrix:
 
 @inner
 def _innovations(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
-    """Return measurements minus expected values, (N, 3), NaN if missing."""
+    """Return the measurements minus their expected values, (N, 3), NaN where a measurement is missing."""
     innovation = np.empty_like(z)
     for n in range(len(z)):
         for m in range(3):
@@ -175,7 +181,10 @@ def _innovations(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
 
 @inner
 def _is_measurement_missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
-    """Return True if a measurement assumed by the steady gains is missing. In slack no load cell is assumed."""
+    """Return True if a measurement is missing that the steady gains assume.
+
+    For a slack tendon, these gains assume no load-cell reading.
+    """
     for n in range(len(z)):
         assumed = x.tendon_int[s.REGIME, n] != SLACK and c.tendon_int[h.CELL_GROUP, n] >= 0
         if math.isnan(z[n, 0]) or (math.isnan(z[n, 1]) and assumed):
@@ -185,7 +194,7 @@ def _is_measurement_missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
 
 @inner
 def _write_steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector) -> None:
-    """Write the steady gain (7, 3) of a tendon and the inverse covariance (3,) of the innovations."""
+    """Write the steady gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of its innovations."""
     for i in range(STATES):
         for m in range(3):
             gain[i, m] = c.design[n, kind, h.K_AT + 3 * i + m]
@@ -195,13 +204,13 @@ def _write_steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, infor
 
 @inner
 def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector) -> None:
-    """Correct the states. Reject a single load-cell outlier, accept two in a row.
+    """Correct the states by the innovations. Reject a single outlier of a load cell, but accept two in a row.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        innovation: (N, 3), NaN if missing. Rejected innovations become NaN.
-        gain: (N, 7, 3).
+        innovation: (N, 3) innovations, NaN if missing. Rejected innovations become NaN.
+        gain: (N, 7, 3) gains.
         cell_sigma: (N,) standard deviation of the load-cell innovation [N].
     """
     for n in range(len(innovation)):
@@ -215,8 +224,8 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
             kind = x.tendon_int[s.FILTER_KIND, n]
             for i in range(STATES):
                 steady += c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
-            # The correction by the gain is added below, so only the rest of STEP_FRACTION is added
-            # here.
+            # The correction by the gain is added below, so only the rest of STEP_FRACTION is
+            # computed here.
             jump = max(STEP_FRACTION - steady, 0.0) * cell
         if abs(sigmas) > OUTLIER_GATE and not again:
             innovation[n, 1] = math.nan
@@ -225,7 +234,7 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
             for m in range(3):
                 if not math.isnan(innovation[n, m]):
                     x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovation[n, m]
-        # At equal travel, more tension is more stretch and less excursion.
+        # At the same travel, more tension means more stretch, and therefore less excursion.
         x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.TENDON_STIFFNESS, n]
 
 
@@ -233,8 +242,8 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
 def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
     """Move the excursion of each slack tendon with the other tendons of its digit, in digits with surplus tendons.
 
-    The excursions of a digit are R q. If one tendon is slack, its excursion follows from the
-    others. If several are slack, each tick is an iteration of a Gauss-Seidel solution.
+    The excursions of a digit are R q. If one tendon is slack, its excursion follows from those of
+    the other tendons. If several are slack, each tick is an iteration of a Gauss-Seidel solution.
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.HAS_SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK:
@@ -249,8 +258,8 @@ def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
 def _normalised_innovation_squared(innovation: Vector, information: Vector, blind: bool) -> float:
     """Return the normalised innovation squared of encoder and load cell, NaN if either is missing.
 
-    Without load cell (``blind``) it is twice the value of the encoder alone, so that its ideal mean
-    is 2 too.
+    For a tendon without load cell (``blind``), the result is twice the value of the encoder alone.
+    Its ideal mean is then also 2.
     """
     if blind:
         return 2.0 * information[0] * innovation[0] * innovation[0]
@@ -261,11 +270,11 @@ def _normalised_innovation_squared(innovation: Vector, information: Vector, blin
 
 @inner
 def _judge_consistency(x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool) -> None:
-    """Average NIS, and judge the consistency of the model.
+    """Average the normalised innovations squared (NIS), and judge whether the model of each tendon is consistent.
 
-    There are two averages. The operator is informed by the slow average. Process noise is added by
-    the fast average. The fast average uses the covariance without added noise, because added noise
-    would hide an error of the model.
+    NIS has a slow and a fast average. The slow average decides when the operator is informed. The
+    fast average decides when process noise is added. The fast average uses the covariance without
+    added noise, because added noise would hide an error of the model.
     """
     nominal = np.empty(3)
     for n in range(len(innovation)):
@@ -299,8 +308,8 @@ def _judge_consistency(x: Tables, c: ConstantTables, innovation: Matrix, informa
 def _judge_noise(x: Tables, c: ConstantTables) -> None:
     """Decide by the fast average of NIS which tendons get added process noise.
 
-    The noise is kept for ``MAX_ADDED_NOISE_S``: wrong friction is visible only during motion, and
-    has the largest effect at the next reversal.
+    The noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only while
+    the tendon moves, and has the largest effect at the next reversal of its motion.
     """
     if c.run[h.PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
@@ -316,7 +325,10 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the tension at the load cell, by the states of the filter [N]. It may be negative."""
+    """Return the tension of a tendon at its load cell, computed from the filter's states [N].
+
+    It may be negative.
+    """
     tension = 0.0
     kind = x.tendon_int[s.FILTER_KIND, n]
     for i in range(STATES):
@@ -326,10 +338,10 @@ def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) -> None:
-    """Write the angles or rates of all joints (J,) for free digits, q = B R_r^+ s.
+    """Write the angles or rates (J,) that all joints have if their digits are free, q = B R_r^+ s.
 
-    With varying moment arms this is the linear relation of ``structure``, in which angles have an
-    offset.
+    B is the coupling of the joints. R_r are the reduced moment arms, and s the excursions or their
+    rates. With varying moment arms, the angles also have an offset, see ``structure``.
 
     Args:
         x: state tables.
@@ -348,11 +360,11 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     """Return resistance, speed-signed pull and pull of all tendons, (3, N) [N].
 
     Resistance is the tension at the joints in balance with springs and gravity. Pull is the
-    estimated tension at the joints, less friction. The control law knows the development of
-    friction of moving tendons. Other tendons have friction in the direction of the speed at the
-    spool. The estimated speed of a digit is not used, because it is so rough that its sign would
-    chatter. The speed-signed pull always uses the speed at the spool, and is the first sign of a
-    digit that leaves a stop.
+    estimated tension at the joints, less friction. For a moving tendon, the control law knows how
+    far its friction has developed. For other tendons, friction is computed from the speed at the
+    spool. The estimated speed of a digit is not used, because the sign of this rough estimate would
+    chatter. The speed-signed pull always uses the speed at the spool. It is the first sign that a
+    digit leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
@@ -380,20 +392,24 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
 
 @inner
 def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
-    """Judge slack, stops and contact, and set the offset of a newly taut tendon. Return the new ``_load_forces``."""
+    """Update the regime of each tendon, and set the stretch offset of a newly taut tendon.
+
+    The regime depends on slack, on the open stop and on contact. The result is that of
+    ``_load_forces`` after this update.
+    """
     force = _load_forces(x, c)
     changed = False
     for n in range(x.tendon.shape[1]):
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
-        # In slack the encoder alone determines the length of tendon that is still to be wound.
+        # While a tendon is slack, the encoder alone determines the length that must still be wound.
         near = regime == SLACK and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
         blind = c.tendon_int[h.CELL_GROUP, n] < 0
         points = x.tendon_int[s.REGIME_EVIDENCE, n]
         tension = filtered_tension(x, c, n)
         if blind:
-            # The model of a slack tendon has no tension. Once the tendon is taut, the disturbance
-            # is minus its tension.
+            # The model of a slack tendon has no tension. Once the tendon is taut, the estimated
+            # disturbance is minus its tension.
             cell = -x.tendon[s.DISTURBANCE, n]
             points = regime_evidence_without_cell(regime, points, tension, cell)
         else:
@@ -421,8 +437,8 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
         x.tendon_int[s.ON_OPEN_STOP, n] = stopped
         if regime != SLACK:
             if stopped and not was:
-                # The digit has come to rest on its open stop. Its excursion is then known, the
-                # difference is offset.
+                # The digit has come to rest on its open stop. The excursion is then known, and the
+                # difference is added to the stretch offset.
                 opened = c.tendon[h.OPEN_EXCURSION, n]
                 x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - opened
                 x.tendon[s.EXCURSION, n] = opened
@@ -440,14 +456,14 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
 
 @inner
 def is_in_contact(x: Tables, d: int) -> bool:
-    """Return True if a digit is blocked, or if the program knows a contact and torque may act."""
+    """Return True if a digit is blocked, or if the program knows that it touches an object while torque may act."""
     acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
 
 @inner
 def _is_at_stop(was: bool, excursion: float, force: float, resistance: float) -> bool:
-    """Return True if springs hold the digit on the open stop against the tendon."""
+    """Return True if its springs hold a digit on the open stop against the pull of its tendon."""
     if was:
         return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
     return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST
@@ -462,18 +478,22 @@ def _choose_filter_kinds(x: Tables) -> None:
 
 @inner
 def _write_external_tension(x: Tables, c: ConstantTables, force: Matrix) -> None:
-    """Write the unexplained load force of each tendon, positive against closing, 0 in slack and on the open stop."""
+    """Write the unexplained load force of each tendon, positive if it acts against closing.
+
+    The force is 0 for a slack tendon, and while the digit is on its open stop.
+    """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         if x.tendon_int[s.REGIME, n] != SLACK and not x.tendon_int[s.ON_OPEN_STOP, n]:
             damping = c.tendon[h.LOAD_DAMPING, n] * x.tendon[s.EXCURSION_RATE, n]
-            # Pull minus resistance. An object that resists closing makes the difference positive.
+            # The force is pull minus resistance. An object that resists closing makes this
+            # difference positive.
             x.tendon[s.EXTERNAL_TENSION, n] = force[2, n] - force[0, n] - damping
 
 
 @inner
 def write_unknown_estimate(x: Tables) -> None:
-    """Write the estimate of the ticks before all sensors were read: no contact, no innovation."""
+    """Write the estimate for a tick before all sensors have been read: no contact and no innovation."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan

@@ -1,4 +1,4 @@
-"""Conversion of received values into the measurements of a tick, and rejection of impossible positions."""
+"""Conversion of received readings into the measurements of a tick, and rejection of impossible positions."""
 
 import math
 
@@ -16,7 +16,7 @@ from handctl.core.estimation.structure import carrier_excursion, joint_excursion
 
 @inner
 def write_measurements(x: Tables, c: ConstantTables) -> None:
-    """Write the values received in the tick, and NaN for missing values."""
+    """Write the readings received in this tick as measurements, and NaN for missing readings."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
         if x.tendon_int[s.FEEDBACKS_NOW, n] > 0:
@@ -27,7 +27,8 @@ def write_measurements(x: Tables, c: ConstantTables) -> None:
             cell = x.tendon[s.CELL_READING, n]
             saturated = not c.run[h.CELL_LOW] < cell < c.run[h.CELL_HIGH]
             if saturated:
-                # For an overload an amplifier may send NaN, or a number far outside of the range.
+                # When a load cell is overloaded, its amplifier may send NaN, or a number far
+                # outside of the range.
                 cell = c.run[h.CELL_HIGH] if cell >= c.run[h.CELL_HIGH] else c.run[h.CELL_LOW]
             x.tendon[s.MEASURED_TENSION, n] = cell - (c.tendon[h.CELL_TARE, n] + x.tendon[s.PROGRAM_TARE, n])
             x.tendon_int[s.SATURATED, n] = saturated
@@ -46,7 +47,7 @@ def reject_outliers(x: Tables, c: ConstantTables, missed: int) -> None:
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. The motion continued in these ticks, and the
+        missed: ticks missed before the present tick. The hand moved on in these ticks, and a
             reading may be the reply to an older request.
     """
     for n in range(x.tendon.shape[1]):
@@ -73,22 +74,23 @@ def _reject_outlier(
     limit: float,
     missed: int,
 ) -> None:
-    """Reject a position too far from the last accepted position.
+    """Reject a position that is too far from the last accepted position.
 
     Args:
         table: table of the position, (rows, n).
         i: column of the position in the table.
         measured: row of the measured position.
         accepted: row of the last accepted position.
-        gap_row: row of the number of ticks before the last tick at which that position may have
-            been measured.
+        gap_row: row of a number of ticks. The accepted position may have been measured this long
+            before the last tick.
         jump: row of the rejected step.
         dropped: row of the number of rejections in a row.
         limit: largest step in a period [rad].
         missed: see ``reject_outliers``.
     """
     value = table[measured, i]
-    # A comparison with NaN is False: without a value or an accepted position no step is rejected.
+    # A comparison with NaN is False. So no step is rejected if the measured or the accepted
+    # position is missing.
     step = abs(value - table[accepted, i])
     gap = table[gap_row, i] + 1.0 + missed
     table[jump, i] = 0.0
@@ -105,7 +107,7 @@ def _reject_outlier(
 
 @inner
 def clear_rejected_steps(x: Tables) -> None:
-    """Write that no position was rejected. Positions are not tested while no torque acts."""
+    """Set all rejected steps to 0, because positions are not tested while no torque acts."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.REJECTED_STEP, n] = 0.0
     for j in range(x.joint.shape[1]):
@@ -114,16 +116,17 @@ def clear_rejected_steps(x: Tables) -> None:
 
 @inner
 def convert_positions(x: Tables, c: ConstantTables) -> None:
-    """Write travel, motor force and excursion from the accepted positions."""
+    """Write the measured travel, motor force and excursion of each tendon from the accepted positions."""
     for n in range(x.tendon.shape[1]):
         spool = c.tendon[h.SPOOL_RADIUS, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # The last tick predicted its estimate to the time of this measurement.
+            # The estimated joint angles are from the last tick, which predicted them to the time of
+            # this measurement.
             x.tendon[s.MEASURED_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
-        # A drive reports the torque of an ideal motor. Its motor makes this torque times
-        # ``TORQUE_GAIN``.
+        # A drive reports the torque that an ideal motor would make. The real motor makes this
+        # torque times ``TORQUE_GAIN``.
         made = x.tendon[s.REPORTED_TORQUE, n] * c.tendon[h.TORQUE_GAIN, n]
         x.tendon[s.MEASURED_FORCE, n] = made / spool if valid else math.nan
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
@@ -136,7 +139,7 @@ def convert_positions(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> float:
-    """Return the tension of a tendon for detectors: the load-cell reading, or without load cell the estimate [N].
+    """Return the tension that detectors judge [N]: the load-cell reading, or the estimate if there is no load cell.
 
     Args:
         x: state tables.
@@ -151,7 +154,10 @@ def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> floa
 
 @inner
 def start_filter(x: Tables, c: ConstantTables) -> None:
-    """Start the tension filter once all encoders and load cells were read, with the hand open and its tendons slack."""
+    """Start the tension filter once all encoders and load cells were read.
+
+    The first state assumes that the hand is open and its tendons are slack.
+    """
     for n in range(x.tendon.shape[1]):
         group = c.tendon_int[h.CELL_GROUP, n]
         if (group >= 0 and x.group_int[s.GROUP_FRAMES, group] == 0) or math.isnan(x.tendon[s.POSITION, n]):
@@ -163,7 +169,8 @@ def start_filter(x: Tables, c: ConstantTables) -> None:
         x.tendon_int[s.ON_OPEN_STOP, n] = c.tendon_int[h.HAS_RETURN_SPRINGS, n]
         x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]) * c.tendon[h.SPOOL_RADIUS, n]
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # Carriers come before the digits that they carry.
+            # The tendons of a carrying digit come before the tendons of the digits that it carries,
+            # so its angles are known here.
             write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
             x.tendon[s.TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:

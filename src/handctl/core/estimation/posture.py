@@ -1,12 +1,12 @@
-"""Joint angles of digits with fewer tendons than joints, with standard deviations.
+"""Estimate of the joint angles of digits with fewer tendons than joints, with standard deviations.
 
-Excursions determine the joint angles of a digit up to the null space of the moment arms. A free
-digit has the angles of its coupling, q = B theta. In contact the object turns the joints against
-each other, by the torque of the contact times the compliance of the springs in the null space, N
-(N^T K N)^-1 N^T. The torque follows from the unexplained tension. The place of the contact is
-unknown, so the estimate is the mean over several places: the middle of each link, the tip, and a
-torque on all joints. The standard deviation consists of the differences between these places, and
-of
+Excursions determine the joint angles of a digit up to the null space of the moment arms. The joints
+of a free digit have the angles of its coupling, q = B theta. If the digit touches an object, the
+object turns the joints against each other. The turn is the torque of the contact times the
+compliance of the springs in the null space, N (N^T K N)^-1 N^T. The torque follows from the
+unexplained tension. The place of the contact is unknown, so the estimate is the mean over several
+places: the middle of each link, the tip, and a torque on all joints alike. The standard deviation
+consists of the differences between these places, and of
 
 - the error of the tension's model, at each of these places,
 - capstan friction, whose sign depends on the direction of motion,
@@ -35,27 +35,36 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 MODEL_ERROR_N = 0.5
-"""Standard deviation of the model's tension in free motion, by errors of friction and springs in the hand file [N]."""
+"""Standard deviation of the tension that the model expects in free motion [N].
+
+It represents errors of friction and springs in the hand file.
+"""
 MODEL_ERROR_FRACTION = 0.15
-"""Standard deviation of the model's tension, as a fraction of the unexplained tension."""
+"""Standard deviation of the tension that the model expects, as a fraction of the unexplained tension."""
 STIFFNESS_ERROR_FRACTION = 0.03
-"""Relative error of the tendons' stiffness. With it, a part of the stretch is estimated as excursion."""
+"""Relative error of the tendons' stiffness, by which a part of the stretch is estimated as excursion."""
 FRICTION_FRACTION = 0.5
-"""Standard deviation of the turn by friction, as a fraction of the turn by fully developed friction."""
+"""Standard deviation of the turn that friction causes, as a fraction of the turn by fully developed friction."""
 MIN_SQUARED_LEVER_M2 = 1e-8
-"""Smallest sum of squared levers of a place of contact [m^2]. It avoids a division by 0 for a place without lever."""
+"""Smallest sum of squared levers of a place of contact [m^2].
+
+It prevents a division by 0 for a place without levers.
+"""
 MAX_READING_AGE_S = 0.1
-"""Largest age of a joint encoder's reading that is used [s]."""
+"""Largest age at which a joint encoder's reading is used [s]."""
 RATE_ERROR_FRACTION = 1.0
-"""Relative error of the rate with which a reading is advanced to the present. The rate is that of a free digit."""
+"""Relative error of the joint rate with which a reading is advanced to the present.
+
+The rate is that of a free digit.
+"""
 MIN_TURN_RAD = 1e-9
-"""Smallest turn in the division that limits a turn to the joints' range [rad]."""
+"""Smallest divisor where a turn is limited to the ranges of the joints [rad]."""
 CONTACT_FADE_S = 0.15
-"""Time constant with which the effect of a contact fades [s]. Friction holds the joints after a contact ends."""
+"""Time constant with which the effect of a contact fades [s], because friction holds the joints after its end."""
 UPDATE_S = 8e-3
-"""Time between two estimates in the null space [s]."""
+"""Time between two estimates of the turn in the null space [s]."""
 TURN_SMOOTHING_S = 20e-3
-"""Time constant of the low-pass filter of the turn [s]."""
+"""Time constant of the low-pass filter for the turn by contact [s]."""
 
 
 @inner
@@ -74,7 +83,8 @@ def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> No
             x.joint[s.Q_SIGMA, j] = math.sqrt(variance[j])
         return
     for d in range(x.digit.shape[1]):
-        # It rises at once with the touch, and decays with CONTACT_FADE_S.
+        # The contact tension rises at once with the touch, and decays with the time constant
+        # CONTACT_FADE_S.
         x.digit[s.CONTACT_TENSION, d] = max(x.digit[s.TOUCH, d], x.digit[s.CONTACT_TENSION, d] * c.run[h.CONTACT_DECAY])
     update = k % c.run_int[h.POSTURE_TICKS] == 0
     columns = np.zeros((0, 0))
@@ -92,7 +102,7 @@ def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> No
 
 @inner
 def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
-    """Return the deviations (J, N) of joint angles by each excursion's error [rad], and the sums of squares (J,)."""
+    """Return the deviations (J, N) of the joint angles by the error of each excursion [rad], and the variances (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
     spread = np.zeros((joints, tendons))
@@ -101,8 +111,8 @@ def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]
         stretch = square(x.tendon[s.TENSION, n] * STIFFNESS_ERROR_FRACTION) + square(x.tendon[s.TENSION_SIGMA, n])
         variance = c.tendon[h.EXCURSION_VARIANCE, n] + stretch / square(c.tendon[h.TENDON_STIFFNESS, n])
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # Add the error of the carriers' angles. The tendons of carriers come first, so
-            # ``total`` has it.
+            # Add the error by the angles of carriers. The tendons of carriers come first, so
+            # ``total`` contains this error already.
             for j in range(joints):
                 variance += square(c.tendon_joint[h.CARRIER_ARMS, n, j]) * total[j]
         excursion = math.sqrt(variance)
@@ -114,10 +124,11 @@ def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]
 
 @inner
 def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
-    """Return deviations (2 H + 2, J) in the null space [rad], whose products sum up to the covariance. Write the turn.
+    """Return deviations (2 H + 2, J) of the joint angles in the null space [rad], and write the turn by contact.
 
-    H is the number of places of contact. The levers are for the angles of the last estimate, so
-    that the ticks are the iterations of a fixed point.
+    The covariance of the angles is the sum of the products of these deviations. H is the number of
+    places of contact. The levers are computed at the angles of the last estimate, so each tick is
+    an iteration towards a fixed point.
     """
     places = c.place_joint.shape[1]
     joints = x.joint.shape[1]
@@ -151,7 +162,7 @@ def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
 
 @inner
 def _contact_turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
-    """Return the turn of each joint by a contact at each place, and its standard deviation, (H, J) [rad] each."""
+    """Return how far a contact at each place turns each joint, and the standard deviations, both (H, J) [rad]."""
     places = c.place_joint.shape[1]
     joints = x.joint.shape[1]
     turns = np.zeros((places, joints))
@@ -178,7 +189,7 @@ def _contact_turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
 
 @inner
 def _write_place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lever: Vector) -> None:
-    """Write the levers about the joints of a digit (J,) of a force at a place of contact [m].
+    """Write the levers (J,) of a force at a place of contact about the joints of a digit [m].
 
     Place i is the middle of link i. The place after the last link is the tip. Further places have
     no levers.
@@ -205,7 +216,7 @@ def _write_digit_turn(
     turns: Vector,
     deviation: Vector,
 ) -> None:
-    """Write the turn of a digit by a contact with given levers.
+    """Write how far a contact with given levers turns the joints of a digit.
 
     Args:
         x: state tables.
@@ -214,7 +225,7 @@ def _write_digit_turn(
         lever: (J,) levers of the contact force about the joints [m].
         torque: (J,) torque of the contact [N m].
         error: (J,) standard deviation of the torque [N m].
-        turns: (J,) result: turn [rad].
+        turns: (J,) result: turn of each joint [rad].
         deviation: (J,) result: standard deviation of the turn [rad].
     """
     first = c.digit_int[h.JOINTS_FIRST, d]
@@ -242,7 +253,10 @@ def _write_digit_turn(
 
 @inner
 def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
-    """Return the fraction, 0 to 1, of a digit's turn (J,) [rad] within the joints' ranges at the free angles."""
+    """Return the fraction, 0 to 1, of a turn (J,) [rad] by which the joints of a digit can turn within their ranges.
+
+    The turn starts at the angles of the free digit.
+    """
     fraction = 1.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         way = sign * turn[j]
@@ -254,7 +268,7 @@ def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: fl
 
 @inner
 def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
-    """Write the turns of free digits by friction, and by springs and gravity against the coupling, (2, J) [rad]."""
+    """Write how far friction, and springs with gravity, turn free digits out of the coupling, (2, J) [rad]."""
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
     write_static_torque(c, x.joint[s.Q], torque[1])
@@ -276,7 +290,9 @@ def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
 
 @inner
 def _fuse_encoders(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int) -> None:
-    """Correct the angles by joint encoders, one after the other. This is exact, because their noises are independent.
+    """Correct the joint angles by the joint encoders, one after the other.
+
+    This is exact, because the noise of each encoder is independent of the others.
 
     Args:
         x: state tables.
@@ -313,7 +329,7 @@ def _fuse_encoders(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix
         noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * moved)
         residual = x.joint[s.JOINT_ANGLE, j] + moved - x.joint[s.Q, j]
         for a in range(joints):
-            # This copies a row, because the loop below overwrites the covariance.
+            # A row of the covariance is copied, because the loop below overwrites it.
             gain[a] = covariance[a, j] / (covariance[j, j] + noise)
             before[a] = covariance[j, a]
         for a in range(joints):
@@ -330,9 +346,9 @@ def _fuse_encoders(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix
 def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
     """Write the tip-equivalent forces of all digits, and their standard deviations by errors of angles and tensions.
 
-    The tip-equivalent force acts at the tip along y of the last link, with the torque of the
-    contact. The tension of a finger with one tendon does not depend on the place of contact. The
-    tip is then a convention.
+    The tip-equivalent force acts at the tip, along the y axis of the last link, and makes the
+    torque of the contact. The tension of a finger with one tendon does not depend on the place of
+    contact, so the tip is a convention for such a finger.
     """
     joints = x.joint.shape[1]
     coordinates = x.coordinate.shape[1]
@@ -358,7 +374,7 @@ def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
         x.digit[s.TIP_FORCE, d] = force
         x.digit[s.TIP_FORCE_SIGMA, d] = 0.0
         for j in range(first, last + 1):
-            # Numerical derivative by a step of one standard deviation.
+            # The derivative is numerical, with a step of one standard deviation of the joint angle.
             for i in range(first, last + 1):
                 about_turned[i] = about[i]
             write_turned_levers(pose, first, last, length, j, x.joint[s.Q_SIGMA, j], about_turned)

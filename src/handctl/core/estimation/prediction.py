@@ -1,4 +1,4 @@
-"""Prediction of the tension filter to the present, by filterpy."""
+"""Prediction of the tension filter's states to the present, by filterpy."""
 
 import numpy as np
 
@@ -13,7 +13,10 @@ with deferred_imports():
 
 
 def predict_filter_states(model: HandModel, layout: Layout, block: Block, missed: int = 0) -> None:
-    """Predict the states of all tendons to the next tick. In missed ticks the force was constant, without a plan.
+    """Predict the states of all tendons to the next tick.
+
+    Missed ticks are predicted with the motor force of the last tick, and without a planned change
+    of tension.
 
     Args:
         model: model of the hand.

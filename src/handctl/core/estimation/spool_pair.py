@@ -1,14 +1,15 @@
 """Net tension of a spool pair: two antagonistic tendons on one spool, wound in opposite directions.
 
-A spool that turns winds one tendon and pays out the other by an equal length. With the pretension p
-and the stiffness k of each tendon, the tensions are p + k dl and p - k dl, never below 0. The net
-tension u of the pair is their difference. While both tendons are taut u = 2 k dl. Beyond |u| = 2 p
-one tendon is slack, and the other bears all of u. In one formula the first tendon has the tension
-max(p + u / 2, u, 0), and the second has max(p - u / 2, -u, 0).
+When the spool turns, it winds a length dl of one tendon, and pays out an equal length of the other.
+Each tendon has the pretension p and the stiffness k, so the tensions are p + k dl and p - k dl, but
+never below 0. The net tension u of the pair is the difference of the two tensions. While both
+tendons are taut, u is 2 k dl. If |u| exceeds 2 p, one tendon is slack, and the other bears all of
+u. In one formula the first tendon has the tension max(p + u / 2, u, 0), and the second has max(p -
+u / 2, -u, 0).
 
-Friction lowers the tension behind the pulleys of the tendon that winds, and raises it for the
-tendon that pays out. Both effects resist the motion, so a pair without net tension has friction by
-its pretension.
+Behind the pulleys, friction lowers the tension of the tendon that is wound, and raises the tension
+of the tendon that is paid out. Both effects resist the motion, so a pair without net tension also
+has friction, caused by the pretension.
 """
 
 from handctl.compiled import inner
@@ -21,8 +22,9 @@ def net_tension_at_joint(net: float, pretension: float, passed: float) -> float:
     Args:
         net: net tension at the spool [N].
         pretension: pretension of both tendons [N].
-        passed: tension of the first tendon behind the pulleys, as a fraction of that at the spool.
-            The second tendon moves in the opposite direction, and has the reciprocal.
+        passed: tension of the first tendon behind the pulleys, as a fraction of its tension at the
+            spool. The second tendon moves in the opposite direction, and has the reciprocal of this
+            fraction.
 
     Source: capstan equation.
     """
@@ -33,7 +35,7 @@ def net_tension_at_joint(net: float, pretension: float, passed: float) -> float:
 
 @inner
 def net_tension_at_spool(net: float, pretension: float, passed: float) -> float:
-    """Return the net tension at the spool for a tension at a joint [N], the inverse of ``net_tension_at_joint``."""
+    """Return the net tension at the spool for a net tension at a joint [N], the inverse of ``net_tension_at_joint``."""
     both_taut = 2.0 * (net + pretension * (1.0 / passed - passed)) / (passed + 1.0 / passed)
     if abs(both_taut) < 2.0 * pretension:
         return both_taut

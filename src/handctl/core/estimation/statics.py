@@ -1,4 +1,4 @@
-"""Known forces along the tendons: torques of springs and gravity, and tensions less pulley friction."""
+"""Known forces of a hand at rest: joint torques of springs and gravity, and tensions less pulley friction."""
 
 import math
 
@@ -29,7 +29,7 @@ MAX_OWN_FRACTION = 0.999
 
 @inner
 def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
-    """Write the joint torques of gravity and springs, (J,) [N m], at joint angles q (J,) [rad].
+    """Write the joint torques (J,) [N m] that balance gravity and springs at joint angles q (J,) [rad].
 
     A link's weight acts on the link's joint and on all joints towards the palm.
     """
@@ -43,15 +43,16 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 @inner
 def pulley_torque(c: ConstantTables, n: int, arm: float, tension: float, developed: float, wrapped: float) -> float:
-    """Return the torque of tendon n at the joint of a pulley, less friction [N m].
+    """Return the torque of tendon n about the joint of a pulley, less the effect of friction [N m].
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
         arm: moment arm about the joint [m].
         tension: tension at the load cell, the net tension for a spool pair [N].
-        developed: development of friction, 1 winding, -1 paying out.
-        wrapped: wrap angle up to the pulley [rad].
+        developed: development of friction, from 1 for a winding tendon to -1 for a tendon that is
+            paid out.
+        wrapped: wrap angle of the tendon up to the pulley [rad].
 
     Source: capstan equation.
     """
@@ -63,16 +64,17 @@ def pulley_torque(c: ConstantTables, n: int, arm: float, tension: float, develop
 
 @inner
 def subtract_passing_torque(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, torque: Vector) -> None:
-    """Subtract the torques of passing tendons from the joint torques (J,) that the carriers' own tendons must make.
+    """Subtract the torques of passing tendons from the joint torques (J,) that the tendons of carriers must make.
 
-    A passing tendon is a tendon of a digit that passes a joint of the digit's carrier, for example
-    the wrist.
+    A passing tendon belongs to a digit, and passes a joint of the carrier of this digit, for
+    example the wrist.
 
     Args:
         c: constants of the hand.
         q: (J,) joint angles [rad].
         tension: (N,) tensions at the load cells [N].
-        developed: (N,) development of friction, 1 winding, -1 paying out.
+        developed: (N,) development of friction, from 1 for a winding tendon to -1 for a tendon that
+            is paid out.
         torque: (J,) joint torques, modified in place [N m].
     """
     if not c.run_int[h.HAS_CARRIER_ARMS]:
@@ -105,7 +107,7 @@ def first_wrap(c: ConstantTables, n: int, q: Vector) -> float:
 
 @inner
 def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> None:
-    """Write the levers about the joints of a digit (J,) of a force at its tip [m], see ``rigid_body.write_levers``."""
+    """Write the levers (J,) of a force at a digit's tip about its joints [m], see ``rigid_body.write_levers``."""
     last = c.digit_int[h.JOINTS_END, d] - 1
     rigid_body.write_levers(
         pose, c.digit_int[h.JOINTS_FIRST, d], last, c.joint[h.LINK_TABLE + rigid_body.LENGTH, last], lever
@@ -114,7 +116,7 @@ def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> 
 
 @inner
 def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector) -> None:
-    """Write the smallest tensions (N,) [N] for joint torques (J,) [N m]."""
+    """Write the smallest tensions (N,) [N] that make joint torques (J,) [N m]."""
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         tension[n] = 0.0
@@ -124,13 +126,17 @@ def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector
 
 @inner
 def write_tensions_at_joints(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, result: Vector) -> None:
-    """Write the tensions at the joints, less friction: those that make the torques of the tensions at the load cells.
+    """Write the tensions at the joints, less friction.
+
+    Without friction, the result would make the same joint torques as the tensions at the load cells
+    make with friction.
 
     Args:
         c: constants of the hand.
         q: (J,) joint angles [rad].
         tension: (N,) tensions at the load cells [N].
-        developed: (N,) development of friction, 1 winding, -1 paying out.
+        developed: (N,) development of friction, from 1 for a winding tendon to -1 for a tendon that
+            is paid out.
         result: (N,) tensions at the joints [N].
 
     Source: capstan equation.
@@ -169,10 +175,10 @@ def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float
 
 @inner
 def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: float) -> float:
-    """Return the value of tendon n that follows from the other tendons of the digit, NaN if it does not follow.
+    """Return the value of tendon n that follows from the other tendons of its digit, NaN if no value follows.
 
-    The values of a digit are R q. In a digit with more tendons than coordinates, the values of the
-    other tendons determine q, and so the value of tendon n.
+    The values of a digit's tendons are R q. In a digit with more tendons than coordinates, the
+    values of the other tendons determine q, and so the value of tendon n.
 
     Args:
         c: constants of the hand.
@@ -193,8 +199,8 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: 
 def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the tension at the joints of a winding tendon, as a fraction of the tension at the load cell.
 
-    The fraction is the mean over the pulleys, weighted by moment arms. While the tendon pays out,
-    the fraction is about the reciprocal.
+    The fraction is the mean over the pulleys, weighted by moment arms. While the tendon is paid
+    out, the fraction is about the reciprocal of the result.
 
     Args:
         c: constants of the hand.

@@ -2,17 +2,18 @@
 
 Filter, control law and allocation use the linear relation q = B (R B)^+ s of joint angles q and
 excursions s. For a digit with varying arms, the tables of ``constants`` that depend on R are
-evaluated at the angles of the free digit: q0 = B theta with e(q0) = s. Around q0 the excursion is
-e(q0) + R (q - q0), so that linear relations have an offset. With constant arms the offsets are 0
-and the tables do not change. The tables depend on the state block only. They are evaluated before
-each use in a tick, so that a tick computed again from a stored state gives the same result.
+evaluated at the angles of the free digit: q0 = B theta, for which the excursions e(q0) equal s.
+Around q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. With constant
+arms, the offsets are 0 and the tables do not change. The tables depend only on the state block.
+They are evaluated before each use in a tick, so a tick that is computed again from a stored state
+gives the same result.
 
-Tendons of a finger pass the wrist that carries the finger. A tendon that does not pass through the
-wrist's axis is wound by the wrist's motion, and turns the wrist. Both effects are known from the
-estimated angle of the wrist and from the tension. The travel of such a tendon is counted without
-the part of its carriers (``carrier_excursion``). Filter, goals and detectors then treat its digit
-as a digit on a base at rest. The tendons of the wrist bear the torque of the tendons that pass the
-wrist (``statics.subtract_passing_torque``).
+The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
+the axis of the wrist, the motion of the wrist winds this tendon, and its tension turns the wrist.
+Both effects are known from the estimated angle of the wrist and from the tension. The part of the
+travel that carriers such as the wrist wind is subtracted (``carrier_excursion``). So filter, goals
+and detectors treat the finger like a digit on a base at rest. The tendons of the wrist bear the
+torque of the tendons that pass the wrist (``statics.subtract_passing_torque``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
 """
@@ -34,20 +35,29 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 NEWTON_STEPS = 8
-"""Largest number of Newton steps in a tick. One or two are usual."""
+"""Largest number of Newton steps for a digit's joint angles in a tick.
+
+One or two steps are usual.
+"""
 NEWTON_TOLERANCE_RAD = 1e-6
-"""Newton step below which the iteration ends [rad]. The remaining error is of the order of the step squared."""
+"""Newton step below which the iteration ends [rad].
+
+The remaining error is of the order of the step squared.
+"""
 MIN_SPRING_STIFFNESS = 1e-3
-"""Smallest spring stiffness used in the null space [N m/rad]. With softer springs the joints' ranges limit the turn."""
+"""Smallest spring stiffness used in the null space [N m/rad].
+
+With softer springs, the ranges of the joints limit the turn by a contact.
+"""
 REGULARISATION_FRACTION = 1e-9
-"""Regularisation for dependent rows of R, as a fraction of the mean diagonal element."""
+"""Regularisation of R K^-1 R^T for dependent rows of R, as a fraction of the mean diagonal element."""
 MIN_BALANCE_FRACTION = 0.05
-"""Smallest balance of a tendon, as a fraction of the balance with mean arms."""
+"""Smallest balance tension of a tendon, as a fraction of its balance tension with mean moment arms."""
 
 
 @inner
 def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
-    """Return the moment arm of tendon n at an angle of joint j [m]."""
+    """Return the moment arm of tendon n about joint j, at an angle q of this joint [m]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j]
     held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
@@ -59,7 +69,7 @@ def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @inner
 def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
-    """Return the part of tendon n's excursion by the angle of joint j: the integral of the moment arm [m]."""
+    """Return the part of tendon n's excursion that the angle of joint j causes: the integral of the moment arm [m]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j] * q
     held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
@@ -71,7 +81,7 @@ def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @inner
 def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
-    """Return the part of tendon n's excursion by the joints of its carriers [m], or the rate of this part [m/s].
+    """Return the part of tendon n's excursion, or of its rate, that the joints of its carriers cause [m, m/s].
 
     Args:
         c: constants of the hand.
@@ -89,7 +99,7 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
 
 @inner
 def motor_speed(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the speed of a tendon at its spool [m/s], the motion of its digit's carriers included."""
+    """Return the speed of a tendon at its spool [m/s], including the speed that the carriers of its digit cause."""
     speed = x.tendon[s.SPEED, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         speed += carrier_excursion(c, n, x.joint[s.DQ])
@@ -98,7 +108,7 @@ def motor_speed(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
-    """Return the derivative of the moment arm of tendon n by the angle of joint j [m/rad]."""
+    """Return the derivative of tendon n's moment arm with respect to the angle of joint j [m/rad]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n] or q < c.joint[h.JOINT_MIN, j] or q > c.joint[h.JOINT_MAX, j]:
         return 0.0
     value = 0.0
@@ -109,7 +119,7 @@ def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @inner
 def update_structure(x: Tables, c: ConstantTables) -> None:
-    """Write the structure tables of all digits with varying arms at the angles of the free digits."""
+    """Write the structure tables of all digits with varying moment arms, for the joint angles of the free digits."""
     q = np.empty(x.joint.shape[1])
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_VARYING, d]:
@@ -136,7 +146,7 @@ def update_structure(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def keep_excursion(x: Tables, c: ConstantTables) -> None:
-    """Correct the joint angles of digits with varying arms, so that they have the estimated excursions."""
+    """Correct the joint angles of digits with varying moment arms, so that they agree with the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_VARYING, d]:
             continue
@@ -153,7 +163,7 @@ def keep_excursion(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
-    """Write R, R B, B (R B)^+ and the offsets of a digit at joint angles q (J,) [rad]."""
+    """Write the tables R, R B, B (R B)^+ and the offsets of a digit, at joint angles q (J,) [rad]."""
     joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
     tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
     first = c.digit_int[h.COORDINATES_FIRST, d]
@@ -193,7 +203,7 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
 
 @inner
 def _write_weights(c: ConstantTables, d: int) -> None:
-    """Write pulley weights, ``POSTURE_TORQUE`` and balance of a digit, from its present R."""
+    """Write pulley weights, ``POSTURE_TORQUE`` and balance tensions of a digit, from its present moment arms R."""
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
         total = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
@@ -206,14 +216,15 @@ def _write_weights(c: ConstantTables, d: int) -> None:
             c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
         mean = c.tendon[h.MEAN_BALANCE, n]
         if c.tendon_int[h.HAS_SURPLUS, n] and mean > 0.0:
-            # The part of the balance that makes no torque with the present arms.
+            # The new balance tension is the part of the mean one that makes no torque with the
+            # present moment arms.
             balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
             c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(balance, MIN_BALANCE_FRACTION * mean)
 
 
 @inner
 def _write_compliance(c: ConstantTables, d: int) -> None:
-    """Write the joint angles per torque at constant excursion: K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1."""
+    """Write how far torques turn the joints at constant excursion: K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1."""
     joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
     tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
     count = tendons[1] - tendons[0]

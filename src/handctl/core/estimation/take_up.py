@@ -1,4 +1,4 @@
-"""Transitions of a tendon between slack and taut, by the load-cell readings of several ticks."""
+"""Decision whether a tendon has become slack or taut, by its load-cell readings of several ticks."""
 
 import math
 
@@ -10,12 +10,12 @@ from handctl.core.constants import ConstantTables
 
 SLACK = 2
 SLACK_BELOW_N = 1.0
-"""Tension below which a tendon may be slack, for the estimate and for the load cell [N].
+"""A tendon may be slack if its estimated tension and its load-cell reading are below this tension [N].
 
 It is two standard deviations of the load cell.
 """
 SLACK_TICKS = 3
-"""Consecutive ticks below ``SLACK_BELOW_N`` before a tendon counts as slack."""
+"""Number of ticks in a row below ``SLACK_BELOW_N`` after which a tendon counts as slack."""
 TAUT_ABOVE_N = 2.5
 POINTS_AT_ONCE = 6
 LIKELY_ABOVE_N = 1.5
@@ -24,20 +24,20 @@ POSSIBLE_ABOVE_N = 1.0
 POINTS_POSSIBLE = 1
 """Tensions [N], and the points that a load-cell sample above each tension adds. Points are evidence of a taut tendon.
 
-A sample below all three tensions subtracts ``POINTS_AGAINST``.
-A sample above the first tension (five standard deviations) ends slack at once.
+A sample below all three tensions subtracts ``POINTS_AGAINST``. A sample above the first tension
+(five standard deviations) makes a slack tendon count as taut at once.
 """
 POINTS_AGAINST, POINTS_OF_TAUT = 2, 6
 """Points that a low sample subtracts, and points from which a tendon counts as taut.
 
-Noise of 0.5 N alone almost never reaches these points. A drift of the load cell below 1 N does not
-reach them.
+Load-cell noise of 0.5 N alone almost never reaches the points of a taut tendon. A drift of the load
+cell below 1 N does not reach them either.
 """
 NEARLY_TAUT_M, NEARLY_TAUT_FACTOR = 5e-5, 3
-"""Slack length of a nearly taut tendon, by the encoder [m], and the factor on its points.
+"""Slack length below which the encoder shows a nearly taut tendon [m], and the factor on the points of this tendon.
 
-With this factor a sample of three standard deviations ends slack at once. The slack length is
-uncertain by about 50 um, because of stops and friction.
+With this factor, a load-cell sample of three standard deviations makes the tendon count as taut at
+once. The slack length is uncertain by about 50 um, because of stops and friction.
 """
 
 RANGE_MARGIN_M = 1e-3
@@ -48,7 +48,7 @@ RANGE_MARGIN_M = 1e-3
 def regime_evidence(regime: int, points: int, tension: float, cell: float, error: float, near: bool) -> int:
     """Return the evidence that a regime ends: points for a slack tendon, or ticks in a row for a taut tendon.
 
-    A missing sample sets the ticks to 0, and does not change the points.
+    A missing load-cell sample sets the number of ticks to 0, and does not change the points.
 
     Args:
         regime: regime of the tendon.
@@ -75,17 +75,20 @@ def regime_evidence(regime: int, points: int, tension: float, cell: float, error
 
 
 TAUT_WITHOUT_CELL_N = 2.5
-"""Force missing at the motor of a slack tendon without load cell above which it counts as tension [N]."""
+"""Force missing at the motor of a slack tendon without load cell.
+
+A larger missing force counts as tension [N].
+"""
 SLACK_TICKS_WITHOUT_CELL = 12
-"""Ticks in a row with low estimated tension before a tendon without load cell counts as slack."""
+"""Number of ticks in a row with low estimated tension after which a tendon without load cell counts as slack."""
 
 
 @inner
 def regime_evidence_without_cell(regime: int, points: int, tension: float, missing: float) -> int:
-    """Return the evidence of a tendon without load cell, see ``regime_evidence``.
+    """Return the evidence that the regime of a tendon without load cell ends, see ``regime_evidence``.
 
-    The motor of a slack tendon turns without load. Once the tendon is taut, its tension is missing
-    at the motor.
+    The motor of a slack tendon turns without load. Once the tendon is taut, the force of its
+    tension is missing at the motor.
 
     Args:
         regime: regime of the tendon.
@@ -106,7 +109,10 @@ def is_nearly_taut(x: Tables, n: int) -> bool:
 
 @inner
 def is_regime_over(regime: int, points: int, blind: bool) -> bool:
-    """Return True if the evidence ends a regime. Without load cell (``blind``), slack needs more ticks."""
+    """Return True if the evidence ends a regime.
+
+    Without load cell (``blind``), a taut tendon counts as slack only after more ticks.
+    """
     slack_ticks = SLACK_TICKS_WITHOUT_CELL if blind else SLACK_TICKS
     return points >= (POINTS_OF_TAUT if regime == SLACK else slack_ticks)
 
@@ -115,7 +121,7 @@ def is_regime_over(regime: int, points: int, blind: bool) -> bool:
 def set_offset_of_newly_taut(x: Tables, c: ConstantTables, n: int, cell: float) -> None:
     """Set stretch offset or excursion of a newly taut tendon, so that its stretch agrees with the load cell.
 
-    If the excursion is known, from the open stop or from joint encoders, the offset is set.
+    If the excursion is known, from the open stop or from joint encoders, the stretch offset is set.
     Otherwise the length of the tendon is known from commissioning, and the excursion is set.
 
     Args:

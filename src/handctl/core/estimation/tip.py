@@ -1,6 +1,6 @@
-"""Tip-equivalent force: a force normal to the last link, at the tip, with the torque of the actual contact.
+"""Tip-equivalent force: a force normal to the last link, at the tip, that makes the torque of the actual contact.
 
-The tension of a finger with one tendon does not depend on the place of contact. The tip is a
+The tension of a finger with one tendon does not depend on the place of contact, so the tip is a
 convention.
 """
 
@@ -12,7 +12,7 @@ from handctl.hand.digit import DigitModel
 
 
 def joint_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers about each joint of a force at the tip, along y of the last link: J^T n, (n,) [m].
+    """Return the levers about each joint of a force at the tip along the y axis of the last link: J^T n, (n,) [m].
 
     Args:
         digit: model of the digit.
@@ -23,12 +23,12 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 
 
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers of ``joint_lever``, about the digit's coordinates: B^T J^T n, (n_c,) [m]."""
+    """Return the levers of such a force at the tip about the coordinates of the digit: B^T J^T n, (n_c,) [m]."""
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
 
 def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:
-    """Return the tip-equivalent force of a contact [N].
+    """Return the tip-equivalent force of a contact with a digit [N].
 
     Args:
         digit: model of the digit.

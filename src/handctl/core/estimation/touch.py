@@ -1,8 +1,9 @@
 """Detection of blocked digits: digits in an unplanned contact with a stop or an object.
 
-The threshold is a tension beyond any error of the model. ``programs.grasp`` has a finer test for
-closing digits. The filter uses the result, because it assumes that a free digit follows its tendon.
-With this assumption the control loop would oscillate against a blocked digit.
+A digit is blocked if its unexplained tension exceeds any error of the model. ``programs.grasp`` has
+a finer test for closing digits. The tension filter must know which digits are blocked, because it
+assumes that a free digit follows its tendon. With this assumption, the control loop would oscillate
+against a blocked digit.
 """
 
 from handctl.compiled import inner
@@ -12,16 +13,17 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 
 SMOOTH_S = 20e-3
-"""Time constant of the low-pass filter of the unexplained tension [s]."""
+"""Time constant of the low-pass filter for the unexplained tension of a digit [s]."""
 FREE_BELOW_N = 3.0
-"""Unexplained tension, the mean of a digit's tendons, below which the digit is free again [N]."""
+"""Mean unexplained tension of a digit's tendons below which the digit counts as free again [N]."""
 BLOCKED_ABOVE_N = 6.0
-"""Unexplained tension, the mean of a digit's tendons, from which the digit is blocked [N].
+"""Mean unexplained tension of a digit's tendons above which the digit counts as blocked [N].
 
-The tension of a tendon that opens the digit counts with the opposite sign.
+In this mean, the tension of a tendon that opens the digit has the opposite sign.
 
-Fast free motion with friction wrong by 50 % reaches 3.6 N. The tension is not converted to a force
-at the tip, because the tip of a fully flexed digit has no lever.
+In fast free motion, with friction that differs from the model by 50 %, the mean reaches 3.6 N. The
+tension is not converted to a force at the tip, because the tip of a fully flexed digit has no
+lever.
 """
 MAX_PRESS_N = 30.0
 """Largest tension of a blocked digit in excess of the tension that the trajectory requires [N].
@@ -33,7 +35,7 @@ safety.
 
 @inner
 def update_blocked(x: Tables, c: ConstantTables) -> None:
-    """Update the blocked state of each digit."""
+    """Update for each digit whether it is blocked."""
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
         end = c.digit_int[h.TENDONS_END, d]
@@ -53,7 +55,7 @@ def update_blocked(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def reset_blocked(x: Tables) -> None:
-    """Reset the blocked states: without torque no contact is observable."""
+    """Set all digits to not blocked, because no contact is observable without torque."""
     for d in range(x.digit.shape[1]):
         x.digit[s.TOUCH, d] = 0.0
         if x.digit_int[s.BLOCKED, d]:

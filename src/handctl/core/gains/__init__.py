@@ -1,1 +1,1 @@
-"""Gains: their bounds and files, and the designs of filter and control loops from them."""
+"""Gains: their bounds, their files, and the designs of the tension filter and of the control loops from them."""

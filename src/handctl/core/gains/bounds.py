@@ -1,4 +1,4 @@
-"""Bounds of the gains as data: range, default and meaning of each key, and True for a key that may change in a run."""
+"""Bounds of the gains as data: range, default and meaning of each key, and whether it may change in a run."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,12 +17,15 @@ SECTIONS = ("filter", "motion", "tension", "contact")
 TENDON_SECTION = "tendon"
 """Section of forces for single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
 LIVE_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
-"""Sections that a running controller accepts. The filter's design takes too long for the ticks of a run."""
+"""Sections that a running controller accepts.
+
+The design of the filter takes too long for the ticks of a run.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """A key of the gains.
+    """A key of the gains, with the bounds of its value.
 
     Attributes:
         key: section and name, for example ``motion.force_N``.
@@ -45,13 +48,13 @@ class Bound:
     why: str
 
     def __str__(self) -> str:
-        """Return the bounds in words."""
+        """Return the bounds of the value in words."""
         lower = f"more than {self.low:g}" if self.open_low else f"at least {self.low:g}"
         return f"{'a whole number, ' if self.whole else ''}{lower}, at most {self.high:g}"
 
 
 class TendonKey(NamedTuple):
-    """Parts of the key of a single tendon's force.
+    """Parts of a key for the force of a single tendon.
 
     Attributes:
         tendon: name of the tendon.
@@ -69,7 +72,7 @@ SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.f
 
 
 def tendon_key(key: str) -> TendonKey | None:
-    """Return the parts of the key of a single tendon's force, or None for any other key."""
+    """Return the parts of a key for the force of a single tendon, or None for any other key."""
     section, _, rest = key.partition(".")
     tendon, _, field = rest.rpartition(".")
     if section != TENDON_SECTION or not tendon or field not in SHARED_KEYS:
@@ -79,7 +82,7 @@ def tendon_key(key: str) -> TendonKey | None:
 
 @cache
 def bounds() -> Mapping[str, Bound]:
-    """Return the bounds of all keys for the whole hand, in the order of ``Gains``, which declares the numbers."""
+    """Return the bounds of all keys that apply to the whole hand, as ``Gains`` declares them and in its order."""
     result = {}
     for section in SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
@@ -109,7 +112,7 @@ def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
 
 
 def bound_of(key: str) -> Bound | None:
-    """Return the bounds of a key, of the whole hand or of a single tendon, or None for an unknown key."""
+    """Return the bounds of a key for the whole hand or for a single tendon, or None for an unknown key."""
     parts = tendon_key(key)
     if parts is None:
         return bounds().get(key)
@@ -118,7 +121,7 @@ def bound_of(key: str) -> Bound | None:
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
-    """Return the value of every key, with the keys of forces for single tendons."""
+    """Return the value of every key, including the keys for forces of single tendons."""
     values = {key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2]) for key in bounds()}
     for one in gains.tendon:
         forces = {field: getattr(one, field) for field in SHARED_KEYS}
@@ -127,9 +130,9 @@ def values_by_key(gains: Gains) -> dict[str, float]:
 
 
 def different_values(before: Gains, after: Gains) -> dict[str, tuple[float, float]]:
-    """Return the values before and after of every key that differs.
+    """Return the old and the new value of every key whose value differs.
 
-    A tendon without a force of its own has the force for all tendons.
+    A tendon without a separate force has the force for all tendons.
     """
     old = values_by_key(before)
     new = values_by_key(after)
@@ -138,13 +141,16 @@ def different_values(before: Gains, after: Gains) -> dict[str, tuple[float, floa
 
 
 def _value_of(values: Mapping[str, float], key: str) -> float:
-    """Return the value of a key, or of the key for all tendons."""
+    """Return the value of a key.
+
+    If a single tendon has no value, return the value for all tendons.
+    """
     parts = tendon_key(key)
     return values[parts.shared] if parts and key not in values else values[key]
 
 
 def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bool = False) -> Gains:
-    """Return gains with some values replaced. All values are checked first.
+    """Return a copy of gains with some values replaced. All new values are checked first.
 
     Args:
         gains: gains to copy.
@@ -181,7 +187,7 @@ def _set_tendon_force(content: dict[str, Any], parts: TendonKey, force: float) -
 
 
 def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
-    """Check that each single tendon with forces belongs to the hand.
+    """Check that the hand has each tendon for which the gains contain separate forces.
 
     Args:
         gains: gains to check.

@@ -7,12 +7,12 @@ change of a moving digit's tension [N/s]. The measurements are the encoder trave
 [N], and the excursion from joint encoders [m].
 
 The model does not contain the equation of motion of the digit. The digit is twenty times lighter
-than the rotor, is held by a stiff tendon, and has friction at the pulleys of up to a third of the
+than the rotor, and a stiff tendon holds it. Friction at its pulleys is up to a third of the
 tension. The direction of friction depends on the sign of a speed of micrometres per second. A
-filter with this equation chatters between both signs, with tension errors of 9 N instead of 0.5 N.
-Two assumptions suffice: a free digit follows the tendon with slowly changing tension, and a held
-digit is at rest. Source: linearised tendon plant, van Loan (1978) for the discretisation. The
-Riccati solution comes from ``control``.
+filter with the digit's equation of motion chatters between both signs, with tension errors of 9 N
+instead of 0.5 N. Two assumptions replace the equation: a free digit follows the tendon with slowly
+changing tension, and a held digit is at rest. Source: linearised tendon plant, van Loan (1978) for
+the discretisation. The Riccati solution comes from ``control``.
 """
 
 import math
@@ -48,30 +48,42 @@ DECAY_TIME_S = 1e4
 """Time constant with which stretch offset and excursion of a held digit decay to 0 in the model [s].
 
 Without any decay the Riccati equation has no solution. A faster decay changes the estimated
-tension: one millimetre of offset that decays in a minute is 1.7 N per second.
+tension: if an offset of one millimetre decays in a minute, the tension changes by 1.7 N per second.
 """
 
-# Noise that is added while the model of a tendon does not fit, see ``kalman``.
+# Noise that is added while the model of a tendon does not fit its measurements, see ``kalman``.
 ADDED_DISTURBANCE_FACTOR = 5.0
-"""Factor on the motor disturbance of a free tendon, for motor friction that differs from the hand file."""
+"""Factor by which the motor disturbance of a free tendon is larger while noise is added.
+
+It represents motor friction that differs from the hand file.
+"""
 ADDED_HELD_DISTURBANCE_FACTOR = 2.0
-"""Factor on the motor disturbance of a held tendon."""
+"""Factor by which the motor disturbance of a held tendon is larger while noise is added."""
 ADDED_TENSION_WALK = 8.0
-"""Added random walk of a free tendon's tension [N/s^0.5], for joint friction that differs from the hand file."""
+"""Added random walk of a free tendon's tension [N/s^0.5].
+
+It represents joint friction that differs from the hand file.
+"""
 ADDED_HELD_TENSION_WALK = 3.0
 """Added random walk of a held tendon's tension [N/s^0.5]."""
 PLAN_FRACTION_WITH_NOISE = 0.25
-"""Fraction of the planned change of tension that is expected while noise is added."""
+"""Fraction of the planned change of tension that the filter expects while noise is added."""
 FRICTION_SIGMA_WITHOUT_CELL = 0.6
 """Standard deviation of a motor's friction as a fraction of the Coulomb friction, for tendons without load cell.
 
-Friction may have any value between those of the two directions: 1 / sqrt(3) for a uniform
-distribution.
+The friction may have any value between those of the two directions of motion. A uniform
+distribution has the standard deviation 1 / sqrt(3).
 """
 FRICTION_TIME_WITHOUT_CELL_S = 0.3
-"""Correlation time of a motor's friction for tendons without load cell [s], about the time between reversals."""
+"""Correlation time of a motor's friction, for tendons without load cell [s].
+
+It is about the time between reversals.
+"""
 TAUT_REGIMES = (Regime.FREE, Regime.HELD)
-"""Regimes with a second design, with added noise, in the order of the kinds 3 and 4."""
+"""Regimes with a second filter design, which has added noise.
+
+Their order is that of the kinds 3 and 4.
+"""
 
 
 def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix) -> FilterDesign:
@@ -79,13 +91,13 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
 
     Args:
         space: constants of the hand along the tendons.
-        gains: noise assumed by the filter.
+        gains: noise that the filter assumes.
         period: control period [s].
         joint_period: (N,) time between two excursions measured by joint encoders [s], inf without
             encoders.
 
     Raises:
-        ConfigError: if the gains lead to no filter.
+        ConfigError: if no filter follows from the gains.
     """
     made: dict[tuple[float, ...], tuple[FilterBlock, ...]] = {}
     found = []
@@ -95,13 +107,13 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
             with solver_failures_as_errors("filter"):
                 certain = tuple(_design_block(space, i, (regime, False), gains, period, joints) for regime in Regime)
                 adds_noise = (_design_block(space, i, (regime, True), gains, period, joints) for regime in TAUT_REGIMES)
-                made[kind] = (*certain, *adds_noise, certain[Regime.SLACK])  # no noise is added in slack
+                made[kind] = (*certain, *adds_noise, certain[Regime.SLACK])  # no noise is added for a slack tendon
         found.append(made[kind])
     return FilterDesign(tuple(found))
 
 
 def _continuous_model(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> tuple[Matrix, Matrix, Matrix]:
-    """Return A (7, 7), B (7, 2) and the tension row (7,) of a tendon."""
+    """Return the continuous model of a tendon: A (7, 7), B (7, 2) and the tension row (7,)."""
     taut = regime != Regime.SLACK
     k, c = (space.stiffness[i], space.damping[i]) if taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
@@ -139,13 +151,14 @@ def _motor_noise(regime: Regime, gains: FilterGains) -> tuple[float, float, floa
 def _process_noise(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> Matrix:
     """Return the continuous process noise (7, 7) of a tendon.
 
-    The noise of each Gauss-Markov state is 2 sigma^2 / tau. The speeds have white noise.
+    A Gauss-Markov state with standard deviation sigma and correlation time tau has the noise 2
+    sigma^2 / tau. The speeds have white noise.
     """
     Q = np.zeros((STATES, STATES))
     disturbance, time, jerk = _motor_noise(regime, gains)
     if not space.has_cell[i]:
-        # Without load cell the tension is estimated as motor force minus friction, so friction is
-        # the error.
+        # Without load cell, the tension is estimated as motor force minus friction, so the error of
+        # the friction is the error of the tension.
         disturbance = math.hypot(disturbance, FRICTION_SIGMA_WITHOUT_CELL * space.coulomb[i])
         time = max(time, FRICTION_TIME_WITHOUT_CELL_S)
     Q[V, V] = jerk**2 / space.motor_mass[i] ** 2
@@ -162,7 +175,7 @@ def _process_noise(space: TendonSpace, i: int, regime: Regime, gains: FilterGain
 
 
 def _add_noise(Q: Matrix, stiffness: float, regime: Regime) -> None:
-    """Add noise for a model that does not fit to the continuous process noise Q (7, 7) of a taut tendon.
+    """Increase the continuous process noise Q (7, 7) of a taut tendon, because its model does not fit.
 
     Args:
         Q: (7, 7) continuous process noise, modified in place.
@@ -175,7 +188,10 @@ def _add_noise(Q: Matrix, stiffness: float, regime: Regime) -> None:
 
 
 def _discretise(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the zero-order hold of A and B, and the discrete covariance of Q. Source: van Loan (1978)."""
+    """Return the zero-order hold of A and B, and the discrete covariance of Q.
+
+    Source: van Loan (1978).
+    """
     n, m = B.shape
     # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period)
@@ -188,19 +204,19 @@ def _discretise(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix,
 def _design_block(
     space: TendonSpace, i: int, kind: tuple[Regime, bool], gains: FilterGains, period: float, joint_period: float
 ) -> FilterBlock:
-    """Return the filter of a tendon for a kind: a regime, and True with added noise.
+    """Return the filter of a tendon for one kind of design: a regime, and True if noise is added.
 
-    A tendon without load cell has only the encoder. Its tension then follows from the motor force,
-    with the large uncertainty of friction.
+    A tendon without load cell has only its motor encoder. Its tension then follows from the motor
+    force, with the large uncertainty of friction.
 
-    The load-cell error is estimated in slack only, where the tension is known. In other regimes the
-    error is not observable. It is then constant, its growing variance is added to that of the
-    tension, and the gains are those of a filter without this state. Source: Schmidt (1966),
-    consider states.
+    The load-cell error is estimated only for a slack tendon, whose tension is known. In other
+    regimes, the error is not observable, so its estimate stays constant. Its growing variance is
+    then added to the variance of the tension, and the gains are those of a filter without this
+    state. Source: Schmidt (1966), consider states.
 
     Encoder and load cell observe only the sum of excursion and offset. Joint encoders separate the
-    two at a rate of their own, and correct no other state. So the other gains do not depend on
-    joint encoders.
+    two in ``joint_time_s``, and correct no other state. So the other gains do not depend on joint
+    encoders.
     """
     regime, adds_noise = kind
     A, B, tension = _continuous_model(space, i, regime, gains)
@@ -223,7 +239,7 @@ def _design_block(
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
     K = np.zeros((STATES, MEASUREMENTS))
     K[:, :read] = np.linalg.solve(innovation[:read, :read], H[:read] @ P).T
-    # Consider state: the cell error is not corrected unless it is observable.
+    # The load-cell error is a consider state: it is corrected only if it is observable.
     K[E] *= known
     H[1, E] = 1.0
     K[S, 2] = 1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
@@ -231,7 +247,7 @@ def _design_block(
     # opposite amount.
     K[O, 2] = -K[S, 2]
     drift = 0.0 if known or read == 1 else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
-    variance = float(tension @ P @ tension) + drift  # 0 in slack, where the tension row is 0
+    variance = float(tension @ P @ tension) + drift  # 0 for a slack tendon, whose tension row is 0
     information = np.zeros((2, 2))
     information[:read, :read] = np.linalg.inv(innovation[:read, :read])
     sigma = math.sqrt(innovation[1, 1])
@@ -240,7 +256,10 @@ def _design_block(
 
 
 def _solve_riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
-    """Return the steady-state covariance of the prediction. It is solved in units in which the states are about 1."""
+    """Return the steady-state covariance of the prediction.
+
+    The equation is solved in units in which all states are about 1.
+    """
     scale = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
     rows = 1.0 / np.sqrt(np.diag(R))
     P = solve_covariance(

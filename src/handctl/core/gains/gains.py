@@ -1,9 +1,9 @@
 """Gains as data: tunable values with units, bounds and defaults.
 
-The defaults keep a gain margin of 6 dB and a phase margin of 45 degrees in both loops of the
-Jamia hands, on the hand file's plant and on random plants around it, at 500 Hz (jamia) and at
-the 200 Hz of jamia11 on a single bus. Other packaged hands have a gains file in the folder
-``packaged`` where the defaults do not keep these margins.
+With the defaults, both loops of the Jamia hands keep a gain margin of 6 dB and a phase margin of 45
+degrees. This holds for the plant of the hand file and for random plants around it, at 500 Hz
+(jamia) and at 200 Hz (jamia11 on a single bus). A packaged hand with which the defaults do not keep
+these margins has a gains file in the folder ``packaged``.
 """
 
 from pathlib import Path
@@ -18,18 +18,18 @@ PACKAGED_GAINS_FOLDER = Path(__file__).parent / "packaged"
 
 
 class FilterGains(Document):
-    """Noise assumed by the tension filter.
+    """Noise that the tension filter assumes.
 
     The disturbances represent effects that the model does not contain: friction, springs, contact.
     Their correlation times are those of the motions that cause them.
     """
 
     motor_disturbance_N: float = Field(0.12, gt=0, le=50)
-    """Standard deviation of the motor's disturbance force, as from friction [N]."""
+    """Standard deviation of the motor's disturbance force, for example by friction [N]."""
     motor_disturbance_time_s: float = Field(0.05, gt=0, le=10)
     """Correlation time of the motor's disturbance force [s]."""
     free_rate_N_per_s: float = Field(40.0, gt=0, le=1e4)
-    """Rate of change of a freely moving digit's tension, beyond the planned change [N/s]."""
+    """Rate at which the tension of a freely moving digit changes, in addition to the planned change [N/s]."""
     free_time_s: float = Field(0.05, gt=0, le=10)
     """Correlation time of the rate of change of a freely moving digit's tension [s]."""
     held_speed_m_s: float = Field(1.5e-3, gt=0, le=1)
@@ -37,7 +37,10 @@ class FilterGains(Document):
     held_time_s: float = Field(0.1, gt=0, le=10)
     """Correlation time of the speed of a digit at rest on an object [s]."""
     held_disturbance_N: float = Field(0.3, gt=0, le=50)
-    """Disturbance force on the motor of a held digit [N]. Friction at low speed is hardly known."""
+    """Standard deviation of the disturbance force on the motor of a held digit [N].
+
+    Friction at low speed is hardly known.
+    """
     held_disturbance_time_s: float = Field(0.3, gt=0, le=10)
     """Correlation time of the disturbance force on the motor of a held digit [s]."""
     held_acceleration_noise_N: float = Field(0.022, gt=0, le=10)
@@ -55,13 +58,16 @@ class FilterGains(Document):
     cell_drift_time_s: float = Field(100.0, gt=0, le=1e5)
     """Time to which ``cell_drift_N`` refers [s]."""
     cell_tared_s: float = Field(5.0, ge=0, le=1e5)
-    """Time since the tendon was slack that the variance of a taut tendon's tension assumes [s]."""
+    """Time since a taut tendon was last slack, as assumed for the variance of its tension [s]."""
     offset_m: float = Field(1e-5, gt=0, le=0.01)
     """Standard deviation of the stretch offset's change after ``offset_time_s``, as a random walk [m]."""
     offset_time_s: float = Field(60.0, gt=0, le=1e4)
     """Time to which ``offset_m`` refers [s]."""
     encoder_noise_counts: float = Field(0.3, gt=0, le=100)
-    """Standard deviation of a motor encoder's noise in counts. It is 1 / sqrt(12) for rounding alone."""
+    """Standard deviation of a motor encoder's noise in counts.
+
+    It is 1 / sqrt(12) for rounding alone.
+    """
 
 
 class MotionGains(Document):
@@ -77,9 +83,9 @@ class MotionGains(Document):
     At lower control rates a smaller force is used, see ``motion_design``.
     """
     inertia_share: float = Field(1.0, ge=0, le=1)
-    """Fraction of the rotor's inertia in the feedforward."""
+    """Fraction of the rotor's inertia that the feedforward compensates."""
     friction_share: float = Field(1.0, ge=0, le=1)
-    """Fraction of pulley and motor friction in the feedforward."""
+    """Fraction of pulley and motor friction that the feedforward compensates."""
     disturbance_rejection: float = Field(0.7, ge=0, le=1)
     """Fraction of the estimated motor disturbance that is cancelled."""
     tension_feedback: float = Field(0.3, ge=0, le=5)
@@ -102,16 +108,16 @@ class TensionGains(Document):
 
 
 class ContactGains(Document):
-    """Threshold of unexplained tension for the contact of a closing digit."""
+    """Threshold above which a closing digit counts as in contact."""
 
     threshold_N: float = Field(0.3, gt=0, le=100)
     """Contact force at the tip of a digit of two joints, smoothed over 5 ms [N].
 
     The threshold is 1.5 times as large for a digit of three joints, and 2 times as large near the
-    end of the range.
+    end of the joints' range.
     """
     ticks: int = Field(1, ge=1, le=1000)
-    """Number of ticks in a row above the threshold for a contact."""
+    """Number of ticks in a row above the threshold after which the digit counts as in contact."""
 
 
 class TendonForces(Document):
@@ -130,7 +136,7 @@ class TendonForces(Document):
 
 
 class Gains(Document):
-    """All gains of a controller. The defaults are those of the Jamia hands."""
+    """All gains of a controller. The default values are the gains of the Jamia hands."""
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     filter: FilterGains = FilterGains()
@@ -147,7 +153,7 @@ class Gains(Document):
         return self
 
     def forces_of(self, tendon: str) -> tuple[float, float]:
-        """Return the forces of a tendon in motion loop and tension loop [N]."""
+        """Return the force weights of a tendon, in the motion loop and in the tension loop [N]."""
         one = next((one for one in self.tendon if one.name == tendon), TendonForces(name=tendon))
         motion = self.motion.force_N if one.motion_force_N is None else one.motion_force_N
         tension = self.tension.force_N if one.tension_force_N is None else one.tension_force_N
@@ -160,25 +166,28 @@ class Provenance(Document):
     made: str = ""
     """Date and time at which the gains were made, ISO 8601, UTC."""
     version: str = ""
-    """Version of handctl."""
+    """Version of handctl that made the gains."""
     hand: str = ""
-    """Name of the hand."""
+    """Name of the hand for which the gains were made."""
     identity: str = ""
-    """Hash of the hand description at the time of design."""
+    """Hash of the hand description with which the gains were designed."""
     log: tuple[str, ...] = ()
     """Logs of the runs from which the gains were derived."""
     fit: str = ""
-    """Calibration file with the identified parameters."""
+    """Calibration file whose identified parameters were used for the design."""
     study: str = ""
-    """Search of which these gains are the result."""
+    """Search that found these gains."""
     note: str = ""
-    """Text of the user."""
+    """Note of the user about these gains."""
     number: int = Field(0, ge=0)
     """Number in the history of gains, 0 outside of a history."""
     replaces: int = Field(0, ge=0)
     """Number of the gains that were replaced, 0 for the packaged gains."""
     restores: int | None = Field(None, ge=0)
-    """Number of the gains that a rollback restored, 0 for the packaged gains. None without a rollback."""
+    """Number of the gains that a rollback restored, 0 for the packaged gains.
+
+    None without a rollback.
+    """
 
 
 class GainsFile(Gains):
@@ -188,7 +197,10 @@ class GainsFile(Gains):
 
     @property
     def gains(self) -> Gains:
-        """Return the gains without provenance. Unset values stay unset."""
+        """Return the gains without their provenance.
+
+        Values that the file does not set stay unset.
+        """
         given = {name: getattr(self, name) for name in self.model_fields_set - {"provenance"}}
         return Gains(**given)
 

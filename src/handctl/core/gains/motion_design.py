@@ -42,7 +42,7 @@ class MotionDesign:
 
 
 FULL_WEIGHT_PERIOD_S = 2e-3
-"""Longest control period with full force weights [s]."""
+"""Longest control period at which the force weights are not reduced [s]."""
 
 
 def largest_force_weight(force: float, period: float) -> float:
@@ -54,7 +54,7 @@ def largest_force_weight(force: float, period: float) -> float:
 
 
 def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesign:
-    """Design both loops of every tendon by LQR.
+    """Design the motion loop and the tension loop of every tendon by LQR.
 
     Args:
         space: constants of the hand along the tendons.
@@ -62,8 +62,8 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
         period: control period [s].
 
     Raises:
-        ConfigError: if the weights lead to no gains, or are for a tendon that the hand does not
-            have.
+        ConfigError: if no gains follow from the weights, or if they name a tendon that the hand
+            does not have.
     """
     check_tendon_names(gains, space.names)
     return design_from_pieces(
@@ -72,7 +72,10 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
 
 
 def design_piece_count(space: TendonSpace) -> int:
-    """Return the number of pieces of the design, each short enough for a tick of a running controller."""
+    """Return the number of pieces of the design.
+
+    A tick of a running controller has time for one piece.
+    """
     return 2 * len(space.spool)
 
 
@@ -80,7 +83,7 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) ->
     """Return the gain (2,) of one loop. Pieces 0 to N - 1 are motion loops, pieces N to 2 N - 1 are tension loops.
 
     Raises:
-        ConfigError: if the weights lead to no gains.
+        ConfigError: if no gains follow from the weights.
     """
     n = len(space.spool)
     if piece < n:

@@ -1,6 +1,6 @@
 """Conversion of solver failures into errors of one line.
 
-Weights that are each within their bounds may still be too far apart for a solution.
+Even if each weight is within its bounds, the weights may be too far apart for a solution.
 """
 
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from handctl.errors import ConfigError
 
 @contextmanager
 def solver_failures_as_errors(section: str) -> Iterator[None]:
-    """Convert any solver failure into an error of one line.
+    """Convert any failure of a solver within a ``with`` block into an error of one line.
 
     Args:
         section: section of the gains that was designed.

@@ -1,9 +1,10 @@
 """Conversion of joint torque to tendon tensions: the bounded least-squares problem of a tendon-driven digit.
 
 The problem is: minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_min|^2 subject to f_min <= f
-<= f_max, with the mean moment arm r. If the equations have a unique solution within the bounds, it
-is used. If no tensions within the bounds make the torque, the closest torque is used, with equal
-weights of all coordinates, and the missing torque is returned. Source: Lee & Tsai (1991).
+<= f_max, with the mean moment arm r. If the equations R^T f = tau have a unique solution within the
+bounds, this solution is used. If no tensions within the bounds make the torque, the closest torque
+is used, with equal weights of all coordinates, and the missing torque is returned. Source: Lee &
+Tsai (1991).
 """
 
 from typing import NamedTuple
@@ -13,11 +14,14 @@ import numpy as np
 from handctl.core.types import Vector
 
 REGULARISATION = 1e-6
-"""Weight of tension against torque error, both squared and as tensions. It only decides between equal solutions."""
+"""Weight of squared tension against squared torque error, both in newtons.
+
+The weight is so small that it only selects one of several solutions with equal torque.
+"""
 
 
 def tensions_for_torque(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector) -> tuple[Vector, Vector]:
-    """Return the tensions of a digit for a torque, and the torque that they do not make.
+    """Return the tensions of a digit that make a torque, and the part of the torque that they do not make.
 
     Args:
         moment_arms: (n_t, n_c) reduced moment arms [m].
@@ -35,7 +39,7 @@ def tensions_for_torque(moment_arms: Vector, torque: Vector, floor: Vector, ceil
 
 
 def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
-    """Return the unique solution without bounds, or None for more tendons than coordinates."""
+    """Return the unique solution without bounds, or None if the digit has more tendons than coordinates."""
     if moment_arms.shape[0] != moment_arms.shape[1]:
         return None
     if len(torque) == 1:
@@ -61,11 +65,14 @@ class _Problem(NamedTuple):
 
 _problems: dict[int, tuple[Vector, _Problem]] = {}
 MAX_CACHED_PROBLEMS = 64
-"""Largest number of cached quadratic programs."""
+"""Largest number of quadratic programs in the cache."""
 
 
 def _cached_problem(moment_arms: Vector) -> _Problem:
-    """Return the quadratic program of moment arms. It is cached by the identity of read-only arms."""
+    """Return the quadratic program for moment arms.
+
+    The programs of read-only arms are cached by their identity.
+    """
     result = _problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:
         return result[1]
@@ -82,21 +89,22 @@ def _cached_problem(moment_arms: Vector) -> _Problem:
 
 
 def solve_bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, near: Vector) -> Vector:
-    """Solve the quadratic program by daqp: tensions (n_t,) within the bounds, see ``tensions_for_torque``.
+    """Return the tensions (n_t,) within the bounds that solve the quadratic program, by daqp.
 
     Args:
         moment_arms: see ``tensions_for_torque``.
         torque: see ``tensions_for_torque``.
         floor: see ``tensions_for_torque``.
         ceiling: see ``tensions_for_torque``.
-        near: (n_t,) start tensions [N], for example the solution without bounds. The solver starts
-            with the bounds that these tensions violate as active set, which halves its steps.
+        near: (n_t,) start tensions [N], for example the solution without bounds. The bounds that
+            these tensions violate are the solver's first active set, which halves the number of its
+            steps.
     """
     from daqp import solve
 
     arms, mean, weight, unconstrained = _cached_problem(moment_arms)
     linear = -(arms.dot(torque / mean) + REGULARISATION * floor)
     start = np.minimum(np.maximum(near, floor), ceiling)
-    # Copies, because daqp may write into its arguments.
+    # Bounds and weights are copied, because daqp may write into its arguments.
     result = solve(weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start)
     return np.minimum(np.maximum(np.asarray(result[0], dtype=np.float64), floor), ceiling)

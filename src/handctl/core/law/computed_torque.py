@@ -1,7 +1,8 @@
-"""Computed torque of a tendon-driven digit, and the tension loop.
+"""Control laws of a tendon-driven digit: computed torque for motion, and the tension loop.
 
-Motion: inverse dynamics give the joint torque of the trajectory, and the torque gives the tendon
-tensions. The force for the motor's own inertia and friction is added, and the feedback:
+Motion: inverse dynamics give the joint torque that the trajectory requires, and this torque gives
+the tendon tensions f. The motor force u is the tension f_0 at the load cell, plus the feedback,
+plus the force for the inertia and the friction of the motor:
 
     f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
     u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v)) + c_i m_m s_d'' + c_f (b_m v +
@@ -9,13 +10,13 @@ tensions. The force for the motor's own inertia and friction is added, and the f
         - c_d disturbance + K_f (f_0 - f_hat)
 
 The excursions are s = R_r theta. With varying arms they are e(q), and s'' = R q'' + R' q'^2. The
-speed v is that of the tendon at the spool, so the feedback damps the rotor and not the digit behind
-the tendon. The factors c are fractions from the gains. The rotor m_m is about twenty times heavier
-than the finger m_l, and the feedback accelerates both.
+speed v is the tendon speed at the spool, so the feedback damps the rotor, and not the digit behind
+the tendon. The factors c are fractions from the gains. The rotor, with the mass m_m, is about
+twenty times heavier than the finger, with the mass m_l. The feedback accelerates both.
 
-Tension: state feedback of tension error and tendon speed, with a slow integral. On an expected
-trajectory, the speed and the force for the rotor's inertia are fed forward. Source: LQR of
-``motion_design``.
+Tension: the tension loop is a state feedback of tension error and tendon speed, with a slow
+integral. On an expected trajectory, the speed and the force for the rotor's inertia are fed
+forward. Source: LQR of ``motion_design``.
 """
 
 import math
@@ -49,24 +50,27 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 MOTOR_FRICTION_SPEED = 2.5e-3
-"""Tendon speed of fully developed motor friction [m/s]: 0.5 rad/s at a 5 mm spool."""
+"""Tendon speed of fully developed motor friction [m/s]: 0.5 rad/s of a spool with a radius of 5 mm."""
 UNWIND_FRACTION = 0.3
-"""Largest force for paying out, as a fraction of the torque limit.
+"""Largest motor force that pays out a tendon, as a fraction of the torque limit.
 
 It is enough to brake the rotor, and too little to throw a tendon off its spool.
 """
 TRIM_TIME_S = 0.2
-"""Time constant of the fading trim after a change of gains [s]. Both loops are faster, so they can follow."""
+"""Time constant with which the trim fades after a change of gains [s].
+
+Both loops are faster, so they can follow.
+"""
 MIN_TRIM_N = 1e-3
-"""Size below which a trim is set to 0 [N], 0.02 counts of the drive with the finest torque."""
+"""A smaller trim is set to 0 [N]. This force is 0.02 counts of the drive with the finest torque."""
 HOLD_MARGIN_N = 1.0
-"""Margin above the tension at the start of a hold [N], about the error of the estimate."""
+"""Margin of the limit during a hold above the tension at its start [N], about the error of the estimate."""
 ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
 TAKE_UP_SPEED = 0.02
 """Speed of a spool that takes up the slack of its tendon during a motion [m/s].
 
-It is below the speed from which a tendon counts as snapped.
+This speed is too low for the tendon to count as snapped.
 """
 RELAX_FLOOR_N = 5.0
 """Tension of a relaxed hand whose springs open it [N]."""
@@ -91,7 +95,7 @@ def command_no_torque(x: Tables) -> None:
 
 @inner
 def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
-    """Start or end a hold that safety demands. The tension at the start of the hold is its limit.
+    """Start or end a hold that safety demands. Each tension at the start of the hold is its limit until the end.
 
     Args:
         x: state tables.
@@ -109,7 +113,7 @@ def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
 
 @inner
 def present_tension_limits(x: Tables, c: ConstantTables) -> Vector:
-    """Return the present tension limits (N,) [N], in addition to the hand's own limits.
+    """Return the present tension limits (N,) [N], which apply in addition to the limits of the hand file.
 
     The limit of a warm drive falls from the ceiling at the soft temperature to the floor at the
     hard temperature. The limit of a blocked digit is ``MAX_PRESS_N`` above the tension that the
@@ -135,7 +139,10 @@ def present_tension_limits(x: Tables, c: ConstantTables) -> Vector:
 
 @inner
 def _derated_tension(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the largest tension of a tendon by the drive's temperature. A drive without temperature counts as cool."""
+    """Return the largest tension that the drive's temperature allows.
+
+    A drive without temperature counts as cool.
+    """
     soft = c.run[h.TEMPERATURE_SOFT]
     hard = c.run[h.TEMPERATURE_HARD]
     temperature = x.tendon[s.TEMPERATURE, n]
@@ -215,7 +222,7 @@ def write_motor_torques(
 
 @inner
 def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> float:
-    """Return a motor force within the limits of the motor and of the tension [N].
+    """Return a motor force, reduced to the limits of the motor and of the tension [N].
 
     Args:
         c: constants of the hand.
@@ -224,7 +231,7 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
         limit: present tension limit [N].
     """
     force = min(max(force, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
-    # The bound of the motor force is the tension limit plus the friction that the motor has to
+    # The motor force is bounded by the tension limit plus the friction that the motor has to
     # overcome.
     bound = limit + c.tendon[h.MOTOR_COULOMB, n]
     force = min(force, bound)
@@ -235,7 +242,7 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
 
 @inner
 def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carried: float) -> None:
-    """Write the force with which the filter predicts the rotor.
+    """Write the force with which the tension filter predicts the motion of the rotor.
 
     Args:
         x: state tables.
@@ -246,7 +253,7 @@ def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carr
     """
     x.tendon[s.FILTER_FORCE, n] = force - _motor_friction(x, c, n, force)
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        # The filter's travel is without the carriers' motion, so the force for this motion is
+        # The travel in the filter excludes the motion of carriers, so the force for this motion is
         # subtracted.
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(c, n, x.joint[s.DQ])
@@ -254,7 +261,7 @@ def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carr
 
 @inner
 def _write_joint_torques(x: Tables, c: ConstantTables, way: Matrix, load: Vector) -> None:
-    """Write the joint torques of the tensions (N,) [N], and the goals of joints on a trajectory.
+    """Write the joint torques that the tensions make, and the goals of joints on a trajectory.
 
     Args:
         x: state tables.
@@ -299,7 +306,7 @@ def _relaxing_force(x: Tables, c: ConstantTables, n: int, force: float, ceiling:
 
 @inner
 def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> tuple[Vector, Matrix, Matrix]:
-    """Return efficiency (N,), tension goal and feedback (2, N) [N], and null-space force and integral (2, N) [N].
+    """Return pulley efficiency (N,), tension goal and feedback (2, N) [N], null-space force and integral (2, N) [N].
 
     The feedback accelerates rotor and digit. All terms are 0 for tendons that follow no trajectory.
 
@@ -322,14 +329,14 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         place = x.tendon[s.EXCURSION, n]
         if c.tendon_int[h.HAS_SURPLUS, n]:
             surplus = True
-            # The part of the excursions that no motion explains is an error of length. It gets no
-            # feedback.
+            # If no motion of the digit explains a part of the excursions, this part is an error of
+            # tendon length. It gets no feedback.
             place = part_explained_by_motion(c, n, x.tendon[s.EXCURSION]) + c.tendon[h.EXPLAINED_OFFSET, n]
         feedback = x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
         feedback += x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SPEED_GAIN, n] * (rate - x.tendon[s.SPEED, n])
         counted = c.run[h.FRICTION_FRACTION]
-        # Tension behind the pulleys as a fraction: the efficiency while winding, 1 / efficiency
-        # while paying out.
+        # Tension behind the pulleys, as a fraction of the tension before them: the efficiency while
+        # the tendon is wound, and 1 / efficiency while it is paid out.
         winding = math.tanh((rate + _goal_of_carriers(c, n, way)[0]) / CAPSTAN_FRICTION_SPEED)
         passed = (1.0 - counted) + counted * math.pow(efficiency[n], winding)
         ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
@@ -357,7 +364,7 @@ def _takes_up_slack(x: Tables, c: ConstantTables, n: int) -> bool:
 
 @inner
 def _is_moved_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
-    """Return True if the drive of a tendon closes the position loop, and takes up no slack."""
+    """Return True if the drive of a tendon closes the position loop, while the tendon takes up no slack."""
     return is_loop_closed_by_drive(x, c, n) and not _takes_up_slack(x, c, n)
 
 
@@ -373,7 +380,7 @@ def _take_up_slack(x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, int
 
     A slack tendon does not move its digit. Feedback of the position could pay the tendon out
     further, or pull it taut with a jerk that resembles a torn tendon. For a nearly slack tendon,
-    feedback that pays out is reduced: springs or the antagonist open the digit first.
+    feedback that pays out is reduced, so that springs or the antagonist first open the digit.
 
     Args:
         x: state tables.
@@ -416,7 +423,7 @@ def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, f
 
 @inner
 def _goal_of_carriers(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float]:
-    """Return the parts of a tendon's rate [m/s] and acceleration [m/s2] by the trajectories of its digit's carriers."""
+    """Return the parts of a tendon's rate [m/s] and acceleration [m/s2] that the trajectories of carriers cause."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
     return carrier_excursion(c, n, way[1]), carrier_excursion(c, n, way[2])
@@ -442,7 +449,7 @@ def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: fl
 def _motion_force(
     x: Tables, c: ConstantTables, n: int, tension: float, feedback: float, rate: float, acceleration: float
 ) -> float:
-    """Return the motor force of computed torque [N], and write the tension goal.
+    """Return the motor force of a moving tendon by computed torque [N], and write its tension goal.
 
     Args:
         x: state tables.
@@ -458,8 +465,8 @@ def _motion_force(
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
         rate = _take_up_speed(rate)
-    # The position command of a drive's own loop includes the planned stretch, so that loop controls
-    # the tension too.
+    # If the drive closes the position loop, its position command includes the planned stretch, so
+    # this loop controls the tension too.
     inner_gain = 0.0 if _is_moved_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
     return (
         tension
@@ -539,7 +546,8 @@ def _relaxing_force_limit(x: Tables, c: ConstantTables, n: int, rate: float, tic
 def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) -> float:
     """Return the average Coulomb friction of the motor in the coming period [N].
 
-    By the implicit midpoint rule: friction can stop a rotor within a period, but not reverse it.
+    It is computed by the implicit midpoint rule, so that friction can stop a rotor within a period,
+    but cannot reverse it.
     """
     coasting = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (command_force - x.tendon[s.TENSION, n])
     return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(coasting / c.tendon[h.FRICTION_STOP_SPEED, n])
@@ -547,7 +555,7 @@ def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) 
 
 @inner
 def _fade_trim(x: Tables, c: ConstantTables) -> None:
-    """Reduce the trim of all tendons. End the trim when the largest one is negligible."""
+    """Reduce the trim of all tendons. Set all trims to 0 when the largest trim is negligible."""
     if not x.run_int[s.TRIMMED]:
         return
     largest = 0.0

@@ -1,12 +1,12 @@
-"""Predicted tension of a moving digit within the friction band, as an input of the filter.
+"""Predicted tension of a moving digit within its friction band, as an input of the tension filter.
 
 Because of friction, the tension of a moving digit is in a band around the tension that springs and
-gravity require. It is at the upper edge while the tendon winds, and at the lower edge while the
-tendon pays out. At a reversal the digit sticks while the motor moves, and the tension changes from
-one edge to the other with the tendon's stiffness. This takes about ten milliseconds. It starts when
-the tendon reverses, which may differ from the trajectory. At rest the digit creeps until friction
-carries no load. Source: Prandtl's elastic-plastic element, with a viscous slider below
-``CAPSTAN_FRICTION_SPEED``.
+gravity require. The tension is at the upper edge of the band while the tendon is wound, and at the
+lower edge while it is paid out. At a reversal, the digit sticks while the motor moves. The tension
+then changes from one edge to the other, by the stiffness of the tendon, in about ten milliseconds.
+This change starts when the tendon reverses, which may be earlier or later than the reversal of the
+trajectory. At rest, the digit creeps until friction carries no load. Source: Prandtl's
+elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED``.
 """
 
 import math
@@ -20,16 +20,19 @@ from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 MIN_SLIDING_SPEED = 1.3 * CAPSTAN_FRICTION_SPEED
-"""Speed from which the viscous slider has full friction [m/s]. Its straight line then approximates the tanh."""
+"""Speed from which the viscous slider has full friction [m/s].
+
+The line up to this speed approximates the tanh.
+"""
 MIN_FRICTION_N = 1e-3
-"""Smallest assumed friction [N], so that the band has a positive width."""
+"""Smallest assumed friction [N], so that the friction band has a positive width."""
 MAX_EFFICIENCY = 1.0 - 1e-9
-"""Largest assumed efficiency, so that the band has a positive width."""
+"""Largest assumed efficiency of the pulleys, so that the friction band has a positive width."""
 
 
 @inner
 def predict_moving_tension(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: float) -> None:
-    """Write the tension of a moving tendon a period from now, its rate until then, and the development of friction.
+    """Write the tension of a moving tendon a period from now, its rate of change, and the development of friction.
 
     Args:
         x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of this
@@ -37,8 +40,8 @@ def predict_moving_tension(x: Tables, c: ConstantTables, n: int, rate: float, ef
         c: constants of the hand.
         n: index of the tendon.
         rate: planned speed of the tendon [m/s].
-        efficiency: tension at the joints as a fraction of that at the load cell, while the tendon
-            winds.
+        efficiency: tension at the joints as a fraction of the tension at the load cell, while the
+            tendon is wound.
     """
     before = x.tendon[s.PLANNED_TENSION, n]
     period = c.run[h.PERIOD]
@@ -74,14 +77,14 @@ def tension_after_period(
     Args:
         now: present tension [N].
         load: tension that the digit requires without friction a period from now [N].
-        efficiency: tension at the joints as a fraction of that at the load cell, while the tendon
-            winds.
+        efficiency: tension at the joints as a fraction of the tension at the load cell, while the
+            tendon is wound.
         wound: length that the spool winds in the period [m].
         stiffness: stiffness of the tendon [N/m].
         crept: largest motion of a creeping tendon in the period [m].
     """
     creep = stiffness * crept / (load * (1.0 - efficiency) + MIN_FRICTION_N)
-    # Implicit Euler step of the viscous slider: stable for any period.
+    # The viscous slider is computed by an implicit Euler step, which is stable for any period.
     sticking = (now + stiffness * wound + creep * load) / (1.0 + creep)
     return min(max(sticking, load * efficiency), load / efficiency)
 
@@ -90,15 +93,15 @@ def tension_after_period(
 def _predict_pair_tension(x: Tables, c: ConstantTables, n: int, coming: float, efficiency: float, wound: float) -> None:
     """Write the results of ``predict_moving_tension`` for a spool pair.
 
-    At both edges of the band one tendon winds and the other pays out.
+    At both edges of the friction band, one tendon of the pair is wound, and the other is paid out.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the spool pair.
         coming: net tension that the digit requires without friction a period from now [N].
-        efficiency: tension at the joints as a fraction of that at the load cell, while a tendon
-            winds.
+        efficiency: tension at the joints as a fraction of the tension at the load cell, while a
+            tendon is wound.
         wound: length that the spool winds in the period [m].
     """
     before = x.tendon[s.PLANNED_TENSION, n]
@@ -106,7 +109,7 @@ def _predict_pair_tension(x: Tables, c: ConstantTables, n: int, coming: float, e
     period = c.run[h.PERIOD]
     upper = net_tension_at_spool(coming, pretension, efficiency)
     lower = net_tension_at_spool(coming, pretension, 1.0 / efficiency)
-    now = x.tendon[s.TENSION, n] if before == 0.0 else before  # 0 is what is not known
+    now = x.tendon[s.TENSION, n] if before == 0.0 else before  # 0 stands for an unknown tension
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
     creep = stiffness * MIN_SLIDING_SPEED * period / (0.5 * (upper - lower) + MIN_FRICTION_N)
     sticking = (now + stiffness * wound + creep * coming) / (1.0 + creep)

@@ -1,4 +1,4 @@
-"""Goal of a digit, from a task, an operator or a program."""
+"""Goal of a digit, which a task, an operator or a program sets."""
 
 import enum
 import math
@@ -21,7 +21,7 @@ class Kind(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitGoal:
-    """Goal of a digit. Goals are compared by identity, so that values derived from them can be cached.
+    """Goal of a digit. Goals are compared by identity, so that values that follow from a goal can be cached.
 
     Attributes:
         kind: type of control.

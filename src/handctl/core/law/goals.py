@@ -1,4 +1,4 @@
-"""Writing of all digits' goals into the state block. This happens only when goals change."""
+"""Transfer of the goals of all digits into the state block, which happens only when goals change."""
 
 import functools
 
@@ -68,7 +68,7 @@ def sample_trajectories(model: HandModel, layout: Layout, block: Block, goals: t
 
 @functools.lru_cache(maxsize=16)
 def sampled_goals(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Trajectory, float, slice], ...]:
-    """Return trajectory, start time [s] and slice of coordinates of each goal that Python samples."""
+    """Return trajectory, start time [s] and slice of coordinates of each goal whose trajectory Python samples."""
     rows = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
         (goal.trajectory, goal.since, places)

@@ -1,4 +1,7 @@
-"""Tensions at the joints that the goals require, from compiled code and from the bounded problem in Python."""
+"""Tensions at the joints that the goals require.
+
+Compiled code computes them, or else the bounded problem is solved in Python.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +21,7 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 def write_tension_goals(
     model: HandModel, layout: Layout, constants: HandConstants, block: Block, action: int = 0
 ) -> None:
-    """Evaluate the goals, and write the required tensions of all moving tendons.
+    """Evaluate the goals of all digits, and write the required tensions of all moving tendons.
 
     Args:
         model: model of the hand.
@@ -43,7 +46,7 @@ def write_tension_goals(
 def allocate_bounded_tensions(
     model: HandModel, layout: Layout, constants: HandConstants, block: Block, undecided: int, way: Vector
 ) -> None:
-    """Solve the bounded least-squares problem of digits with tensions out of bounds or not unique.
+    """Solve the bounded least-squares problem for digits whose tensions are out of bounds or not unique.
 
     Args:
         model: model of the hand.
@@ -78,9 +81,9 @@ def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitMode
 def _tensions_with_friction(model: HandModel, digit: DigitModel, required: Vector, way: Vector) -> Vector:
     """Return the tensions at the joints (n_t,) of a digit whose tendons act against each other [N].
 
-    Each pulley of a tendon has its own friction. Without springs the torques of all tendons must be
-    in balance at each joint, so the problem is solved with moment arms that are reduced by
-    friction.
+    Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
+    tendons must be in balance at each joint. So the problem is solved with moment arms that are
+    reduced by friction.
 
     Args:
         model: model of the hand.

@@ -1,9 +1,9 @@
 """Tension control in the null space of (R B)^T, for digits with surplus tendons.
 
-Tensions in this null space make no torque. Position feedback acts on the coordinates only. In the
-null space, a tension feedback with an integral keeps the tensions at their goals, so that neither
-motor friction nor an error of length makes a tendon slack. Source: Abdallah et al. (2010), tension
-and joint space of tendon-driven fingers.
+Tensions in this null space make no joint torque. Position feedback acts only on the coordinates of
+the digit. In the null space, a tension feedback with an integral keeps the tensions at their goals.
+So neither motor friction nor an error of tendon length makes a tendon slack. Source: Abdallah et
+al. (2010), tension and joint space of tendon-driven fingers.
 """
 
 import math
@@ -23,12 +23,12 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 INTEGRAL_LIMIT_N = 8.0
-"""Limit of the tension integral, for anti-windup [N]."""
+"""Limit of the integral of the tension error, against windup [N]."""
 MAX_ADDED_BALANCE_N = 20.0
 """Largest tension that is added as balance when the motion feedback unloads a tendon [N].
 
-Friction of the pulleys grows with the balance. More balance would lock the joints that the feedback
-has to move.
+Friction of the pulleys grows with these tensions. Larger tensions would lock the joints that the
+feedback has to move.
 """
 
 
@@ -37,8 +37,9 @@ def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: 
     """Raise the tension goals of moving surplus tendons above the floor, and write the null-space forces.
 
     The motion feedback may reduce the force on a tendon by more than its tension goal is above the
-    floor. Then the balance of the digit is added to all goals, which does not change the torque.
-    Feedback that would need more balance than allowed is reduced.
+    floor. Then a multiple of the digit's balance tensions is added to all its goals, which does not
+    change the joint torque. If the feedback would need more than the allowed multiple, the feedback
+    is reduced.
 
     Args:
         x: state tables.
@@ -58,8 +59,8 @@ def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: 
         if not c.tendon_int[h.HAS_SURPLUS, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
             continue
         for n in range(first, end):
-            # Only the part that moves the digit counts. The null-space part damps the rotors, and
-            # must not raise goals.
+            # Only the part of the feedback that moves the digit may raise goals. The part in the
+            # null space damps the rotors.
             feedback[n] = part_explained_by_motion(c, n, terms[1])
         bound = _largest_balance_factor(c, first, end, limit, terms)
         fraction = _fraction_of_feedback(c, first, end, bound, terms, feedback)
@@ -81,7 +82,7 @@ def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: 
 
 @inner
 def _largest_balance_factor(c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix) -> float:
-    """Return the largest factor of the balance that keeps all tendons of a digit within the limits."""
+    """Return the largest factor of the balance tensions with which all tendons of a digit stay within their limits."""
     factor = math.inf
     for n in range(first, end):
         room = min(c.tendon[h.TENSION_CEILING, n], limit[n]) - terms[0, n]
@@ -98,7 +99,7 @@ def _fraction_of_feedback(
     Args:
         c: constants of the hand.
         first, end: tendons of the digit.
-        bound: largest factor of the balance.
+        bound: largest factor of the balance tensions.
         terms: (2, N) tension goal and feedback of motion [N].
         feedback: (N,) part of the feedback that moves the digit [N].
     """

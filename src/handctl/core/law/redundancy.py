@@ -1,8 +1,8 @@
 """Digits without return springs, and digits with more tendons than coordinates.
 
 Antagonistic tendons return such a digit. Its tendons act against each other: a vector of tensions
-in the null space of (R B)^T, all above the floor, makes no torque. This vector is the balance of
-the digit. For n coordinates, a digit with n + 1 tendons has a null space of one dimension, and a
+in the null space of (R B)^T, all above the floor, makes no torque. These are the balance tensions
+of the digit. For n coordinates, a digit with n + 1 tendons has a null space of one dimension, and a
 digit with 2 n tendons has one of n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
 """
 
@@ -18,20 +18,20 @@ from handctl.hand.moment_arms import excursions_at
 
 Flags = NDArray[np.bool_]
 MISSING_FRACTION = 1e-3
-"""Largest remaining torque of a balance, as a fraction of its largest tension times the mean moment arm."""
+"""Largest torque that balance tensions may make, as a fraction of the largest tension times the mean moment arm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Redundancy:
-    """Directions and balance of the N tendons of a hand, each (N,).
+    """Directions and balance tensions of the N tendons of a hand, each (N,).
 
     Attributes:
-        side: 1 for a tendon that is wound while its digit closes, -1 for one that pays out, 0 for a
-            spool pair that moves its digit sideways.
+        side: 1 for a tendon that is wound while its digit closes, -1 for a tendon that is paid out,
+            0 for a spool pair that moves its digit sideways.
         sprung: True if springs return the tendon's digit to its lower joint limits.
         surplus: True for a tendon of a digit with more tendons than coordinates.
-        balance: smallest tensions that are all above the floor and make no torque, 0 without
-            surplus [N].
+        balance: smallest tensions that are all above the floor and make no torque [N]. They are 0
+            without surplus tendons.
         open_excursion: excursion at the lower joint limits [m].
         excursion_range: (2, N) smallest and largest excursion within the joint limits [m].
     """
@@ -45,7 +45,7 @@ class Redundancy:
 
 
 def redundancy_of_hand(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, is_pair: Flags) -> Redundancy:
-    """Derive directions and balance of all tendons.
+    """Derive the directions and the balance tensions of all tendons.
 
     Args:
         digits: digit models, in file order.
@@ -94,7 +94,7 @@ def is_sprung(digit: DigitModel) -> bool:
 
 
 def _balance_tensions(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
-    """Return the balance of a digit (n_t,) [N], or the floor if no tensions within the bounds make no torque."""
+    """Return the balance tensions of a digit (n_t,) [N], or the floor if the bounds do not allow a balance."""
     arms = digit.reduced_moment_arms
     tension, missing = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)
     bearable = MISSING_FRACTION * float(tension.max() * np.abs(arms).mean())

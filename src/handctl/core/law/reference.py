@@ -19,14 +19,14 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 Matrix = NDArray[np.float64]
 
 LIMP, MOTION, TENSION = 0, 1, 2
-"""Numbers of ``goal.Kind`` and of ``block.GOAL_KIND``."""
+"""Values of ``goal.Kind``, and of the field ``block.GOAL_KIND``."""
 NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
-"""Numbers of ``block.TRAJECTORY_KIND``."""
+"""Values of the field ``block.TRAJECTORY_KIND``."""
 
 
 @inner
 def follow_trajectories(x: Tables, c: ConstantTables, frozen: bool) -> None:
-    """Write position, rate and acceleration of every coordinate on its trajectory, 0 without a trajectory.
+    """Write position, rate and acceleration of every coordinate on its trajectory, 0 if it has no trajectory.
 
     Args:
         x: state tables.
@@ -120,7 +120,7 @@ def is_tendon_streamed(x: Tables, c: ConstantTables, n: int) -> bool:
 
 @inner
 def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
-    """Write the joint torques that the trajectories require: inverse dynamics, springs and damping.
+    """Write the joint torques that the trajectories require, by inverse dynamics, springs and damping.
 
     Args:
         x: state tables.
@@ -162,12 +162,13 @@ def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
 
 @inner
 def write_required_tensions(x: Tables, c: ConstantTables) -> int:
-    """Write the tensions at the joints for the required joint torques.
+    """Write the tensions at the joints that make the required joint torques.
 
     Returns:
         A number with a bit for each digit whose tensions are out of bounds, or not unique. For
-        these digits the bounded least-squares problem of ``allocation`` must be solved. A single
-        tendon out of bounds is optimal at the bound, so its digit has no bit.
+        these digits the bounded least-squares problem of ``allocation`` must be solved. If a digit
+        has a single tendon, whose tension is out of bounds, the bound is the best tension. Such a
+        digit has no bit.
     """
     undecided = 0
     for d in range(x.digit.shape[1]):

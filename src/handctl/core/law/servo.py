@@ -1,7 +1,8 @@
 """Commands to drives that close the position loop of a moving digit by themselves.
 
-A command has a position p_d, a velocity v_d, a stiffness kp, a damping kd and a torque t. Many
-times within a tick, the drive computes its torque from its own measured position p and velocity v:
+A command consists of a position p_d, a velocity v_d, a stiffness kp, a damping kd and a torque t.
+Many times within a tick, the drive computes its torque from its own measured position p and
+velocity v:
 
     kp (p_d - p) + kd (v_d - v) + t
 
@@ -15,11 +16,11 @@ stiffness of the tendon is k, and f_hat is its estimated tension:
 The controller does not know the torque that the drive will make. It predicts the mean torque of the
 coming period from the estimated p and v, half a period ahead, and limits this torque as in torque
 control. The commanded position is then chosen so that the drive would make the limited torque. So
-the position never leads the motor by more than the limits allow.
+the commanded position never leads the motor by more than the torque limits allow.
 
-Only a digit that moves freely under the program has kp and kd above 0. Otherwise t is the whole
-torque. This is so while the digit touches an object, relaxes, is held by safety, or winds up slack,
-and in a tick without a measured position of the motor.
+In commands for a digit that moves freely under the program, kp and kd are above 0. In all other
+cases they are 0, and t is the whole torque. These cases are a digit that touches an object,
+relaxes, is held by safety, or takes up slack, and a tick without a measured motor position.
 """
 
 import math
@@ -34,12 +35,13 @@ from handctl.core.estimation.take_up import SLACK
 from handctl.core.law.reference import MOTION
 
 ACTIVE = 4
-"""Number of ``core.types.Mode.ACTIVE``."""
+"""Value of ``core.types.Mode.ACTIVE``."""
 MAX_PHASE_RAD = 0.3
-"""Largest natural frequency of a drive's loop times the control period [rad].
+"""Largest product of the natural frequency of a drive's position loop and the control period [rad].
 
-The filter assumes that the motor force is constant within a period. In simulation, stiffer loops
-oscillated, for example at 0.5 rad on ``jamia`` at 100 Hz and on ``orca_like`` at 250 Hz.
+The tension filter assumes that the motor force is constant within a period. In simulation, stiffer
+loops oscillated. Examples are loops with 0.5 rad on the hand ``jamia`` at 100 Hz and on
+``orca_like`` at 250 Hz.
 """
 COMMAND_ROWS = 5
 """Number of rows of a command: position, velocity, kp, kd, torque."""
@@ -56,7 +58,7 @@ def begin_servo_commands(x: Tables) -> None:
 
 @inner
 def command_torque_only(x: Tables, n: int) -> None:
-    """Replace the command of a drive by a torque command. The hand must have the servo table."""
+    """Replace the command of a drive by a torque command, in a hand with at least one position loop in a drive."""
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
 
@@ -82,7 +84,7 @@ def is_loop_closed_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
 
 @inner
 def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return kp for the present goal, rounded to the resolution of the command [N m/rad]."""
+    """Return the stiffness kp of a drive's loop for the present goal, rounded to the command's resolution [N m/rad]."""
     step = c.tendon[h.SERVO_KP_STEP, n]
     wanted = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
     return step * math.floor(wanted / step + 0.5)
@@ -90,7 +92,7 @@ def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return kd for the present goal, rounded to the resolution of the command [N m s/rad]."""
+    """Return the damping kd of a drive's loop for the present goal, rounded to the command's resolution [N m s/rad]."""
     step = c.tendon[h.SERVO_KD_STEP, n]
     return step * math.floor(
         x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n] / step + 0.5
@@ -99,7 +101,7 @@ def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def servo_speed_force(x: Tables, c: ConstantTables, n: int, rate: float) -> float:
-    """Return the part of the drive loop's mean force in the coming period that the speed error makes [N].
+    """Return the mean force that the speed error causes in a drive's loop over the coming period [N].
 
     The speed error also changes the position error within the period, on average for half a period.
 
@@ -140,7 +142,7 @@ def servo_force(
 def write_servo_command(
     x: Tables, c: ConstantTables, n: int, rate: float, feedforward: float, force: float
 ) -> None:
-    """Write the command with which the drive makes a mean force over the coming period.
+    """Write the command with which a drive makes a given mean force over the coming period.
 
     Args:
         x: state tables.
@@ -157,8 +159,8 @@ def write_servo_command(
     travel = x.tendon[s.TRAVEL, n]
     speed = rate
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        # Position and speed follow the estimated motion of the carriers, so that errors of the
-        # carriers have no effect.
+        # Commanded position and speed follow the estimated motion of the carriers, so that tracking
+        # errors of carriers have no effect.
         travel += carrier_excursion(c, n, x.joint[s.Q])
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     travel += lead + 0.5 * c.run[h.PERIOD] * speed

@@ -1,8 +1,8 @@
 """Motion along streamed targets: interpolation to the latest target, then limits on speed and acceleration.
 
 A segment is a polynomial of time for each coordinate. It leads from the reference at the arrival of
-a target to this target. After the end of a segment the reference stays at the target. Targets are
-not extrapolated.
+a target to this target. After the end of a segment, the reference stays at the target, because
+targets are not extrapolated.
 
 The reference follows the segment exactly if speed and acceleration stay within their limits.
 Otherwise it approaches the target as fast as the limits allow, so that it arrives with the rate of
@@ -22,17 +22,20 @@ from handctl.core.schema import Block, Places
 from handctl.core.types import Vector
 
 MAX_LEAD = math.radians(8.0)
-"""Largest distance of the reference from the estimated digit [rad], at the full stiffness of the gains.
+"""Largest distance of the reference from the estimated position of the digit [rad], at full stiffness.
 
 If an object holds the digit, the reference waits at this distance, so that the digit does not jump
-when it is free.
+when the object releases it.
 """
 MIN_STIFFNESS = 0.05
-"""Smallest stiffness fraction by which the largest distance is divided. A softer digit may be pushed away further."""
+"""Smallest stiffness fraction by which ``MAX_LEAD`` is divided.
+
+A softer digit may be pushed away further.
+"""
 TOLERANCE = 1e-9
-"""Relative tolerance of the limits, for rounding."""
+"""Relative tolerance of the limits, for rounding errors."""
 CLIP_TOLERANCE = 1e-9
-"""Smallest difference from the requested value that counts as clipping [rad, N]."""
+"""If a value differs by more than this from the requested value, it counts as clipped [rad, N]."""
 
 
 @kernel("block", "layout", "vector", "vector", "real", "real", "real", "real", "count")
@@ -50,16 +53,16 @@ def begin_segments(
     """Begin the motion from the present reference to a target. Return True if the target was clipped.
 
     Args:
-        block: state, modified in place.
-        at: positions of the tables in the block.
+        block: state block, modified in place.
+        at: ``Layout.places`` of the state block.
         aim: (C,) requested coordinates [rad].
         held: (C,) the nearest coordinates that taut tendons can hold [rad].
         since: start of the motion [s].
         duration: duration of the motion [s].
-        apart: time between this target and the target before [s]. With an infinite time the motion ends at
-            rest.
+        apart: time between this target and the previous target [s]. With an infinite time, the
+            motion ends at rest.
         top: largest rate at the target [rad/s].
-        smooth: 1 for a motion of minimum jerk, 0 for a linear one.
+        smooth: 1 for a motion of minimum jerk, 0 for a linear motion.
     """
     x = state_tables(block, at)
     clipped = False
@@ -80,9 +83,9 @@ def begin_segments(
 def _write_segment(x: Tables, k: int, target: float, speed: float, duration: float, smooth: bool) -> None:
     """Write the polynomial of a coordinate's motion to a target, lowest power first [rad, s].
 
-    The motion of minimum jerk begins with the position, rate and acceleration of the reference and
-    ends at the target with its speed. The acceleration at the end is free, so the jerk ends at 0:
-    it is b u + c u^2 of the time u that is left. The linear motion has a constant rate.
+    The motion of minimum jerk begins with the position, rate and acceleration of the reference, and
+    ends at the target with the given speed. The acceleration at the end is free, so the jerk ends
+    at 0: it is b u + c u^2, with the remaining time u. The linear motion has a constant rate.
 
     Args:
         x: state tables.
@@ -90,7 +93,7 @@ def _write_segment(x: Tables, k: int, target: float, speed: float, duration: flo
         target: position at the end [rad].
         speed: rate at the end of a motion of minimum jerk [rad/s].
         duration: duration T of the motion [s].
-        smooth: motion of minimum jerk instead of a linear one.
+        smooth: True for a motion of minimum jerk, False for a linear motion.
     """
     position = x.coordinate[s.TRAJECTORY, k]
     rate = x.coordinate[s.TRAJECTORY + 1, k]
@@ -128,7 +131,7 @@ def position_on_segment(x: Tables, k: int, t: float) -> tuple[float, float]:
 
 @inner
 def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
-    """Move the reference of a coordinate to the present tick.
+    """Move the reference of a streamed coordinate from the last tick to the present tick.
 
     Args:
         x: state tables, with the reference of the last tick in ``TRAJECTORY``.
@@ -145,7 +148,7 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
     aim, aim_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SINCE] + x.run[s.STREAM_DURATION] - now, 0.0)
     end_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
-    # This point moves with the rate of the targets, and reaches the target at the end of the
+    # This point moves at the rate of the targets, and reaches the latest target at the end of the
     # segment.
     point = x.coordinate[s.STREAM_TARGET, k] - end_rate * remaining
     mean = (aim - position) / period
@@ -167,7 +170,10 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
 
 @inner
 def _allowed_rates(x: Tables, c: ConstantTables, d: int, k: int, period: float) -> tuple[float, float]:
-    """Return the lowest and the highest rate of a reference [rad/s], by speed limit, range, and distance to the digit.
+    """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
+
+    They follow from the speed limit, from the range of the coordinate, and from the distance
+    between reference and digit.
 
     Args:
         x: state tables.
@@ -191,7 +197,7 @@ def _allowed_rates(x: Tables, c: ConstantTables, d: int, k: int, period: float) 
 
 @inner
 def _estimated_coordinate(x: Tables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
-    """Return the estimate of a digit's coordinate [rad] and of its rate [rad/s], by the joints that it moves."""
+    """Return the estimate of a digit's coordinate [rad] and of its rate [rad/s], from the joints that it moves."""
     position = rate = total = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         coupling = c.joint_coordinate[h.COUPLING, j, k]

@@ -14,13 +14,13 @@ class Trajectory(Protocol):
 
     @property
     def duration(self) -> float:
-        """Return the duration [s]."""
+        """Return the duration of the trajectory [s]."""
         ...
 
     def at(self, t: float) -> Vector:
-        """Return (3, n): position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s].
+        """Return position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n).
 
-        After the end the digit rests at the end position.
+        After the end of the trajectory, the digit rests at the end position.
         """
         ...
 
@@ -29,9 +29,8 @@ class Trajectory(Protocol):
 class Blend:
     """Part of a move that continues an earlier motion and fades.
 
-    It is the sum of two quintics. The first has a rate of 1 at the start, the second an
-    acceleration of 1. All their other derivatives up to the second are 0 at the start and at the
-    end.
+    It is the sum of two quintics. The first quintic has a rate of 1 at the start, and the second an
+    acceleration of 1. All other values, rates and accelerations at the start and at the end are 0.
 
     Attributes:
         speed: (n,) rate at t = 0 [rad/s].
@@ -44,7 +43,7 @@ class Blend:
     duration: float
 
     def at(self, t: float) -> Vector:
-        """Return (3, n) the added position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s]."""
+        """Return the added position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n)."""
         T = self.duration
         s = min(max(t / T, 0.0), 1.0)
         by_speed = np.array((
@@ -62,7 +61,7 @@ class Blend:
 
 @dataclass(frozen=True, slots=True)
 class MinimumJerk:
-    """A straight move in coordinates with minimum jerk, at rest at the end.
+    """A straight move of a digit's coordinates with minimum jerk, which ends at rest.
 
     Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
 
@@ -79,7 +78,7 @@ class MinimumJerk:
     blend: Blend | None = None
 
     def at(self, t: float) -> Vector:
-        """Return (3, n) the motion at time t, see ``Trajectory.at``."""
+        """Return the motion at time t, (3, n), see ``Trajectory.at``."""
         s = min(max(t / self.duration, 0.0), 1.0)
         position = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         velocity = 30.0 * s * s * (1.0 - s) * (1.0 - s) / self.duration
@@ -102,7 +101,7 @@ class Streamed:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A cubic spline through points, at rest at both ends: one for all coordinates of the digit, or one for each.
+    """A cubic spline through points, at rest at both ends: one for all coordinates of a digit, or one for each of them.
 
     Attributes:
         times: (k,) times of the points, rising from 0 [s].
@@ -125,15 +124,15 @@ class Curve:
 
     @property
     def duration(self) -> float:
-        """Return the duration [s]."""
+        """Return the duration of the curve [s]."""
         return float(self.times[-1])
 
     def at(self, t: float) -> Vector:
-        """Return (3, n) the motion at time t, see ``Trajectory.at``."""
+        """Return the motion at time t, (3, n), see ``Trajectory.at``."""
         held = min(max(t, 0.0), self.duration)
         piece = min(int(np.searchsorted(self.times, held, side="right")) - 1, len(self.times) - 2)
         s = held - float(self.times[piece])
-        # Before the start and after the end the digit rests.
+        # The digit rests before the start and after the end of the curve.
         moving = 1.0 if held == t else 0.0
         if self.coefficients.ndim == 3:
             a, b, c, d = self.coefficients[:, piece]
@@ -144,7 +143,10 @@ class Curve:
         return _equal_coordinates(values, self.coordinates)
 
     def peak_speed(self) -> float:
-        """Return the peak speed [rad/s]. It is at an end of a piece, or at zero acceleration."""
+        """Return the peak speed [rad/s].
+
+        The peak is at an end of a piece, or where the acceleration is 0.
+        """
         a, b, c, _ = self.coefficients
         length = np.diff(self.times).reshape(-1, *(1,) * (a.ndim - 1))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -155,7 +157,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """An instant of a motion from another source, for example a log.
+    """A single instant of a motion that comes from another source, for example from a log.
 
     Attributes:
         position: (n,) coordinates [rad].
@@ -170,7 +172,7 @@ class Sample:
     duration: float = 0.0
 
     def at(self, t: float) -> Vector:
-        """Return (3, n) the sample, whatever the time. See ``Trajectory.at``."""
+        """Return the sample (3, n), which is the same for every time. See ``Trajectory.at``."""
         return np.array((self.position, self.velocity, self.acceleration))
 
 
@@ -195,7 +197,7 @@ class Chirp:
     coordinates: int
 
     def at(self, t: float) -> Vector:
-        """Return (3, n) the motion at time t, see ``Trajectory.at``."""
+        """Return the motion at time t, (3, n), see ``Trajectory.at``."""
         s = min(max(t, 0.0), self.duration)
         size, growth, bend = self._envelope(s)
         rise = 2.0 * math.pi * (self.high - self.low) / self.duration
@@ -211,7 +213,7 @@ class Chirp:
         return _equal_coordinates(values, self.coordinates)
 
     def _envelope(self, t: float) -> tuple[float, float, float]:
-        """Return the factor of the amplitude at time t [s], its rate [1/s] and its acceleration [1/s^2]."""
+        """Return the factor on the amplitude at time t [s], with its rate [1/s] and its acceleration [1/s^2]."""
         ramp = 0.1 * self.duration
         left = min(t, self.duration - t)
         if left >= ramp:

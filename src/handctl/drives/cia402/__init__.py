@@ -1,1 +1,1 @@
-"""CiA 402 drives in cyclic synchronous torque mode over CANopen."""
+"""CiA 402 drives over CANopen, in the cyclic synchronous modes for torque, position and velocity."""

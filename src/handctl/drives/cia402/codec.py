@@ -1,6 +1,7 @@
-"""CANopen frames of a CiA 402 drive: identifiers, SDO of up to four bytes, PDOs, states, errors.
+"""CANopen frames of a CiA 402 drive: identifiers, SDO transfers of up to four bytes, PDOs, states, and errors.
 
-All fields are little-endian. Identifiers are the service base plus the node number.
+All fields are little-endian. Most identifiers are the base of the service plus the node number n.
+An empty field (-) means that the frame has no payload.
 
     frame      identifier  to     bytes and fields
     NMT        0x000       drive  0 command | 1 node number
@@ -15,8 +16,8 @@ All fields are little-endian. Identifiers are the service base plus the node num
     SDO reply  0x580 + n   host   0 specifier | 1..2 index | 3 sub-index | 4..7 value or abort code
     heartbeat  0x700 + n   all    0 NMT state
 
-Torque and position are at the motor's shaft. Source: CiA 301 4.2 (identifiers, SDO, NMT), CiA 402-2
-(control word, status word, objects).
+Torque and position refer to the motor's shaft. RPDO1 carries a torque in mode 10. Source: CiA 301
+4.2 (identifiers, SDO, NMT), CiA 402-2 (control word, status word, objects).
 """
 
 import math
@@ -25,7 +26,7 @@ from typing import NamedTuple
 
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
-# Identifiers: NMT and SYNC as such, all others plus the node number.
+# Identifiers. NMT and SYNC are complete identifiers. The node number is added to all others.
 NMT = 0x000
 SYNC = 0x080
 EMERGENCY = 0x080
@@ -41,20 +42,20 @@ PRE_OPERATIONAL = 0x80
 BOOT_UP = 0x00
 STOPPED = 0x04
 OPERATIONAL = 0x05
-# Control words.
+# Values of the control word.
 SHUTDOWN = 0x06
 SWITCH_ON = 0x07
 ENABLE_OPERATION = 0x0F
 DISABLE_VOLTAGE = 0x00
 FAULT_RESET = 0x80
 MAX_TORQUE_COUNT = 0x7FFF
-"""Largest target torque [1/1000 of rated]."""
+"""Largest target torque in RPDO1 [1/1000 of rated]."""
 MAX_TARGET_COUNT = 0x7FFFFFFF
-"""Largest target position or velocity [count]."""
+"""Largest target position or velocity in RPDO1 [count]."""
 OBJECT_MISSING = 0x06020000
-"""SDO abort code of a missing object."""
+"""SDO abort code for an object missing in the drive."""
 
-# Power states in words.
+# Power states of a drive in words.
 OFF = "switch on disabled"
 READY_TO_SWITCH_ON = "ready"
 SWITCHED_ON = "switched on"
@@ -72,16 +73,16 @@ _STATES = (
 Source: CiA 402-2, status word coding.
 """
 WITHOUT_TORQUE = frozenset((NOT_READY, OFF, READY_TO_SWITCH_ON, FAULT))
-"""States with the power stage off."""
+"""Power states in which the power stage is off."""
 NEXT_COMMAND = {
     OFF: SHUTDOWN,
     READY_TO_SWITCH_ON: SWITCH_ON,
     SWITCHED_ON: ENABLE_OPERATION,
     OPERATION_ENABLED: ENABLE_OPERATION,
 }
-"""Control word for the next step towards operation enabled, by power state.
+"""Control word for the next step towards the power state operation enabled, by the present power state.
 
-Other states get DISABLE_VOLTAGE.
+In other power states the host sends DISABLE_VOLTAGE.
 """
 
 ERRORS = {
@@ -92,7 +93,7 @@ ERRORS = {
     0x8140: "recovered from bus-off", 0x8210: "PDO too short", 0x8250: "RPDO time-out",
     0x8611: "following error",
 }  # fmt: skip
-"""Emergency error codes in words. Source: CiA 301 and CiA 402-2, error code tables."""
+"""Error codes of an emergency in words. Source: CiA 301 and CiA 402-2, error code tables."""
 ABORTS = {
     0x05030000: "toggle bit", 0x05040000: "time-out", 0x06010001: "write-only", 0x06010002: "read-only",
     OBJECT_MISSING: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
@@ -103,30 +104,32 @@ ABORTS = {
 
 
 ENABLED_STATUS = 0x07 << 2 | 0x01
-"""Value of the state and stop bits in operation enabled, joined as in ``feedback_message``."""
+"""Status of the power state operation enabled: the signals state and stop of ``feedback_message``, joined."""
 
 
 def power_state(status: int) -> str:
-    """Return the power state coded in a status word, or an empty string for an undefined code."""
+    """Return the power state in a status word, or an empty string if its code is undefined."""
     return next((state for mask, value, state in _STATES if status & mask == value), "")
 
 
 def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero: float) -> Message:
     """Return the signal table of TPDO1: status word, position [count], torque [1/1000 of rated].
 
-    Position and torque are at the motor's shaft.
+    Position and torque refer to the motor's shaft.
 
     Args:
         node_id: node number of the drive.
         counts: position counts per turn of the shaft.
-        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
-        rated: rated torque at the shaft [N m].
-        zero: angle at the shaft of the spool's zero [rad].
+        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+            tendon.
+        rated: rated torque of the drive at the shaft [N m].
+        zero: angle of the shaft at spool angle zero [rad].
     """
     count = math.tau / counts / ratio
     torque = rated / 1000 * ratio
     return Message("tpdo1", TPDO + node_id, 8, (
-        # Bits 0..3 and 5..6 define the power state. Bit 4, voltage, and the upper bits do not.
+        # Bits 0..3 and 5..6 define the power state. Bit 4 (voltage) and the upper bits do not
+        # belong to it.
         Signal("state", Quantity.STATUS, 0, 4),
         Signal("voltage", Quantity.UNUSED, 4, 1),
         Signal("stop", Quantity.STATUS, 5, 2),
@@ -137,13 +140,14 @@ def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero
 
 
 def command_message(node_id: int, ratio: float, rated: float, limit: float) -> Message:
-    """Return the signal table of RPDO1 while enabled: control word, target torque [1/1000 of rated].
+    """Return the signal table of RPDO1 to an enabled drive: control word, target torque [1/1000 of rated].
 
     Args:
         node_id: node number of the drive.
-        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
-        rated: rated torque at the shaft [N m].
-        limit: largest torque [N m at the spool].
+        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+            tendon.
+        rated: rated torque of the drive at the shaft [N m].
+        limit: largest torque command [N m at the spool].
     """
     torque = Signal("torque", Quantity.TORQUE, 16, 16, False, Coding.SIGNED, rated / 1000 * ratio, 0.0, "N m")
     control = Signal("control", Quantity.UNUSED, 0, 16)
@@ -152,17 +156,18 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> M
 
 
 def position_message(node_id: int, counts: int, ratio: float, zero: float, limit: float) -> Message:
-    """Return RPDO1 while enabled: control word, target position [count].
+    """Return the signal table of RPDO1 to an enabled drive: control word, target position [count].
 
     Args:
         node_id: node number of the drive.
         counts: position counts per turn of the shaft.
-        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
-        zero: angle at the shaft of the spool's zero [rad].
-        limit: largest position [rad at the spool].
+        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+            tendon.
+        zero: angle of the shaft at spool angle zero [rad].
+        limit: largest position command [rad at the spool].
 
     Raises:
-        ValueError: the largest position does not fit into the object.
+        ValueError: the largest position does not fit into the object of the drive.
     """
     count = math.tau / counts / ratio
     signal = Signal("position", Quantity.POSITION, 16, 32, False, Coding.SIGNED, count, -zero / ratio, "rad")
@@ -170,22 +175,23 @@ def position_message(node_id: int, counts: int, ratio: float, zero: float, limit
 
 
 def velocity_message(node_id: int, unit: float, limit: float) -> Message:
-    """Return RPDO1 while enabled: control word, target velocity.
+    """Return the signal table of RPDO1 to an enabled drive: control word, target velocity.
 
     Args:
         node_id: node number of the drive.
-        unit: one count of 0x60FF [rad/s at the spool], with the sign of the hand.
-        limit: largest speed [rad/s at the spool].
+        unit: value of one count of object 0x60FF [rad/s at the spool], negative if a positive count
+            unwinds the tendon.
+        limit: largest velocity command [rad/s at the spool].
 
     Raises:
-        ValueError: the largest speed does not fit into the object.
+        ValueError: the largest velocity does not fit into the object of the drive.
     """
     signal = Signal("velocity", Quantity.VELOCITY, 16, 32, False, Coding.SIGNED, unit, 0.0, "rad/s")
     return _motion_message(node_id, signal, limit, limit)
 
 
 def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) -> Message:
-    """Return RPDO1 with a target of four bytes, from ``-largest`` to ``largest``."""
+    """Return the signal table of RPDO1 with a target of four bytes, from ``-largest`` to ``largest``."""
     if not largest / abs(signal.scale) < MAX_TARGET_COUNT:
         raise ValueError(f"{signal.name} {limit:g} {signal.unit} does not fit into the object of the drive")
     control = Signal("control", Quantity.UNUSED, 0, 16)
@@ -194,7 +200,7 @@ def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) 
 
 
 def error_text(code: int) -> str:
-    """Return the text for an emergency error code."""
+    """Return the text for the error code of an emergency."""
     return ERRORS.get(code, f"error {code:#06x}")
 
 
@@ -204,19 +210,19 @@ def abort_text(code: int) -> str:
 
 
 def upload_request(index: int, sub: int) -> bytes:
-    """Return the SDO payload that requests the value of an object."""
-    # 0x40: initiate upload, from the drive to the host.
+    """Return the SDO payload to request the value of an object."""
+    # 0x40 starts an upload from the drive to the host.
     return struct.pack("<BHB4x", 0x40, index, sub)
 
 
 def download_request(index: int, sub: int, raw: bytes) -> bytes:
     """Return the SDO payload that writes one to four bytes to an object."""
-    # 0x23: initiate download, expedited, size in bits 2..3 as the number of unused bytes.
+    # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.
     return struct.pack("<BHB4s", 0x23 | (4 - len(raw)) << 2, index, sub, raw)
 
 
 class SdoReply(NamedTuple):
-    """SDO reply: object, value read (empty after a write), and abort code (0 without an abort)."""
+    """Content of an SDO reply: object, value (empty after a write), and abort code (0 without an abort)."""
 
     number: int
     sub: int
@@ -225,9 +231,13 @@ class SdoReply(NamedTuple):
 
 
 def decode_sdo_reply(data: bytes) -> SdoReply | None:
-    """Decode 8 bytes of an SDO reply, or return None if the specifier is not a reply to a read or write."""
+    """Decode the 8 bytes of an SDO reply.
+
+    Return None if they are not the reply to a read or a write.
+    """
     specifier, index, sub = struct.unpack_from("<BHB", data)
-    # 0x80 abort, 0x60 write confirmed, 0x43 value with the number of unused bytes in bits 2..3.
+    # 0x80 is an abort, 0x60 confirms a write. 0x43 is a value, with the number of unused bytes in
+    # bits 2..3.
     if specifier == 0x80:
         return SdoReply(index, sub, b"", int.from_bytes(data[4:], "little"))
     if specifier == 0x60:

@@ -1,7 +1,8 @@
-"""Discovery of CANopen drives: heartbeats, and answers to an SDO read of the device type.
+"""Discovery of CANopen drives by their heartbeats, and by their answers to an SDO read of the device type.
 
-No drive obeys the read of an object as a command. The ``canopen`` library reads all other data of a
-drive, outside any tick (``runtime.diagnostics.canopen_identity``). Source: CiA 301 4.2.
+No drive obeys the read of an object as a command. A scan reads nothing else except serial numbers
+and numbers of channels. The ``canopen`` library reads all other data of a drive, while no
+controller runs (``runtime.diagnostics.canopen_identity``). Source: CiA 301 4.2.
 """
 
 from handctl.drives.cia402 import codec
@@ -17,27 +18,30 @@ from handctl.drives.frame import REMOTE, Frame
 from handctl.hand.file.sections import CIA404
 
 NODE_NUMBERS = range(1, HOST_NODE)
-"""Node numbers to try."""
-# Object with the device type, and the profile number in its low word.
+"""Node numbers for a scan to try."""
+# Object with the device type, and the profile number of CiA 402 drives in its low word.
 DEVICE_TYPE = 0x1000
 PROFILE = 402
 CIA404_PROFILE = 404
 """Profile number of measuring amplifiers."""
 CHANNELS = (0x6131, 0)
-"""Object with the number of an amplifier's channels, which is the length of the array of units. Source: CiA 404."""
+"""Object with the number of channels of an amplifier.
+
+It is the length of the array of units. Source: CiA 404.
+"""
 SERIAL_NUMBER = (0x1018, 4)
-"""Object with the serial number, an optional object."""
+"""Object with the serial number, missing in some drives."""
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 """NMT states in words."""
 _RPDOS = (0x200, 0x300, 0x400, 0x500)
-"""Bases of the four RPDO identifiers."""
+"""Identifiers of the four RPDOs, before the node number is added."""
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round.
+    """Return the requests of a round of the scan.
 
-    Round 2 reads the device type of every number, round 3 the serial number of discovered nodes,
-    and the number of channels of measuring amplifiers.
+    Round 2 reads the device type of every node number. Round 3 reads the serial number of the
+    discovered nodes, and the number of channels of measuring amplifiers.
     """
     if turn == 2:
         return tuple(Frame(codec.SDO_REQUEST + number, codec.upload_request(DEVICE_TYPE, 0)) for number in NODE_NUMBERS)
@@ -50,7 +54,7 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the discovered nodes: those that reported a device type, and those that only sent heartbeats."""
+    """Return the discovered nodes: those that have reported a device type, and those that have only sent heartbeats."""
     types: dict[int, int] = {}
     channels: dict[int, int] = {}
     states: dict[int, int] = {}
@@ -80,7 +84,7 @@ def nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _describe_node(number: int, device_type: int | None, nmt: int | None, twins: bool, channels: int) -> DiscoveredNode:
-    """Return the discovered node with its data."""
+    """Return a discovered node, with the data reported by the node."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
         return DiscoveredNode("canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",))
@@ -97,19 +101,19 @@ def _describe_node(number: int, device_type: int | None, nmt: int | None, twins:
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return the identifiers that a node obeys: NMT, SYNC, its RPDOs, and its SDO requests."""
+    """Return the identifiers of frames that a node obeys: NMT, SYNC, RPDOs, and SDO requests."""
     node_ids = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDOS)}
     return frozenset(node_ids | {codec.NMT, codec.SYNC})
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the received frames sent by another host: SYNC, NMT, heartbeats of handctl."""
+    """Return the received frames from another host: SYNC, NMT, and heartbeats of another handctl."""
     identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + HOST_NODE)
     return tuple(frame for frame in received if frame.can_id & ~REMOTE in identifiers)
 
 
 def ping(node: DiscoveredNode) -> Frame:
-    """Return the SDO request that reads the device type of a node."""
+    """Return the SDO request to read the device type of a node."""
     return Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(DEVICE_TYPE, 0))
 
 

@@ -1,10 +1,11 @@
-"""CiA 402 drive in cyclic synchronous torque mode over CANopen: from silence to torque, and back.
+"""State machine to configure, enable, and disable a CiA 402 drive in cyclic synchronous torque mode.
 
 In each tick the host sends one RPDO (control word, target torque), and the drive sends one TPDO
-(status word, position, torque). The drive sends the TPDO at SYNC. The SYNC of the sensor node has
-the identifier 0x080 too, and also requests the TPDO. On a bus without a sensor node, the option
-``sync`` of one drive makes handctl send SYNC. This host's heartbeat is the drive's watchdog. Only a
-status word proves that the drive is enabled or disabled.
+(status word, position, torque). The drive sends the TPDO at SYNC, a frame with the identifier
+0x080. On a bus with a sensor node, the SYNC for the sensor node has this identifier and also
+requests the TPDO. On a bus without a sensor node, handctl sends SYNC if one of the drives has the
+option ``sync``. The drive's watchdog supervises the heartbeat of this host. Only a status word
+proves that the drive is enabled or disabled.
 """
 
 import math
@@ -40,31 +41,31 @@ LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 MAX_MISSED_HEARTBEATS = 3.5
-"""Heartbeat periods without a sign of life before the drive counts as lost."""
+"""Number of heartbeat periods without a sign of life after which the drive counts as lost."""
 TORQUE_UNITS = {"uN_m": 1e6, "mN_m": 1e3}
-"""Counts of object 0x6076 per newton metre. Makers differ: uN m on EPOS4, mN m in the standard."""
+"""Number of counts of object 0x6076 per newton metre. EPOS4 uses uN m, and the standard mN m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cia402Drive:
-    """Motor on a CiA 402 drive. Implements ``contract.Drive``.
+    """Motor on a CiA 402 drive, with the interface ``contract.Drive``.
 
     Attributes:
-        name: name of the motor.
-        bus: index of the bus.
-        node_id: 1 to 0x7e.
+        name: name of the motor in the hand file.
+        bus: index of the bus of the drive.
+        node_id: node number, from 1 to 0x7e.
         torque_limit: largest torque command [N m at the spool].
         ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
-            motor unwinds.
-        zero: angle at the shaft of the spool's zero [rad].
-        rated: rated torque at the shaft [N m].
+            motor unwinds the tendon.
+        zero: angle of the shaft at spool angle zero [rad].
+        rated: rated torque of the drive at the shaft [N m].
         counts: position counts per turn of the shaft.
-        steps: objects with the values required before arming.
+        steps: objects of the drive, with the values required before arming.
         sync: True if the host sends SYNC after the command of this drive.
         heartbeat_period_ns: period of this host's heartbeat [ns].
-        life_sign_timeout_ns: longest time without a sign of life [ns].
-        command: signal table of the command, from the fields above.
-        feedback: signal table of the feedback, from the fields above.
+        life_sign_timeout_ns: time without a sign of life after which the drive counts as lost [ns].
+        command: signal table of RPDO1, built from the fields above.
+        feedback: signal table of TPDO1, built from the fields above.
     """
 
     name: str
@@ -93,17 +94,17 @@ class Cia402Drive:
     def of(
         motor: MotorDescription, bus: int, given: Mapping[str, Any] | None = None, mode: int = setup.TORQUE_MODE
     ) -> "Cia402Drive":
-        """Return the drive of a motor description.
+        """Return the drive for a motor description.
 
         Args:
             motor: description of the motor.
-            bus: index of the bus.
-            given: options instead of those of the description.
-            mode: mode of operation.
+            bus: index of the bus of the drive.
+            given: options to use instead of the options in the description.
+            mode: mode of operation of the drive, see ``settings``.
 
         Raises:
-            ConfigError: an option unknown to CiA 402, the node number of this host, or too large a
-                torque.
+            ConfigError: an option is unknown or wrong, the node number is out of range, or the
+                torque limit is too large.
         """
         options = dict(motor.options if given is None else given)
         where = f"motor[{motor.name}].options"
@@ -138,19 +139,19 @@ class Cia402Drive:
                 motor.node_id, round(rated * TORQUE_UNITS[unit]), max_torque, watchdog, heartbeat, mode
             ),
             sync=sync,
-            # Three heartbeats are sent per watchdog time, so two may be lost.
+            # The host sends three heartbeats per watchdog timeout, so that two may be lost.
             heartbeat_period_ns=watchdog * 1_000_000 // 3,
             life_sign_timeout_ns=round(heartbeat * MAX_MISSED_HEARTBEATS * 1e6),
         )
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: RPDO, TPDO, and SYNC with the option ``sync``."""
+        """Return the frames of a tick: RPDO, TPDO, and also SYNC if the option ``sync`` is set."""
         return ((4, False), (8, False), *(((0, False),) if self.sync else ()))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the periodic frames: both heartbeats, and the SDO transfers of the repeated read-back."""
+        """Return the heartbeats of drive and host, and the SDO transfers of the read-back of the enabled drive."""
         beats = (
             (1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns),
             (1, False, 1e9 / self.heartbeat_period_ns),
@@ -164,12 +165,12 @@ class Cia402Drive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of NMT, RPDO, SDO requests, and the host's heartbeat."""
+        """Return the identifiers of the frames of the host: NMT, RPDO, SDO requests, and heartbeat."""
         return frozenset((codec.NMT, codec.RPDO + self.node_id, codec.SDO_REQUEST + self.node_id, _HOST_HEARTBEAT))
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifiers of TPDO, SDO replies, emergency, and the drive's heartbeat."""
+        """Return the identifiers of the frames of the drive: TPDO, SDO replies, emergency, and heartbeat."""
         bases = (codec.TPDO, codec.SDO_REPLY, codec.EMERGENCY, codec.HEARTBEAT)
         return frozenset(base + self.node_id for base in bases)
 
@@ -185,7 +186,7 @@ class Cia402Drive:
 
     @property
     def position_step(self) -> float:
-        """Return one encoder count [rad at the spool]."""
+        """Return the angle of one encoder count [rad at the spool]."""
         return math.tau / (self.counts * abs(self.ratio))
 
     @property
@@ -195,12 +196,12 @@ class Cia402Drive:
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return the signal tables of RPDO and TPDO, and SYNC with the option ``sync``."""
+        """Return the signal tables of RPDO and TPDO, and also of SYNC if the option ``sync`` is set."""
         sync = (Message("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
         return Cyclic((self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the feedback status of a drive that this host has enabled, else UNSTEADY."""
+        """Return the status in feedback of a drive that this host has enabled, or UNSTEADY in any other case."""
         progress = progress_of(state)
         steady = state.phase == ENABLED and progress.enable_sent and progress.disabling_ns < 0
         return codec.ENABLED_STATUS if steady else UNSTEADY
@@ -212,15 +213,15 @@ class Cia402Drive:
 
     @property
     def guards(self) -> tuple[setup.Step, ...]:
-        """Return the objects that are read back again while the drive is enabled."""
+        """Return the objects read again while the drive is enabled."""
         return tuple(step for step in self.steps if (step.number, step.sub) in setup.PROTECTION_OBJECTS)
 
     def initial(self) -> DriveState:
-        """Return the state before the first frame."""
+        """Return the state of the drive before the first frame."""
         return DriveState(private=Cia402Progress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after one received frame, see ``contract.Drive``."""
+        """Return the state after a received frame, see ``contract.Drive``."""
         if frame.bus != self.bus or frame.can_id not in self.node_ids:
             return state
         service = frame.can_id - self.node_id
@@ -232,12 +233,12 @@ class Cia402Drive:
             return on_heartbeat(state, frame)
         if service == codec.SDO_REPLY:
             return self._on_object(state, frame.data)
-        # The remaining service is the emergency. Code 0 reports the end of all errors.
+        # The only service left is the emergency. Its code 0 reports that all errors have ended.
         code = int.from_bytes(frame.data[:2], "little")
         return state._replace(private=progress_of(state)._replace(code=code)) if code else state
 
     def _on_object(self, state: DriveState, data: bytes) -> DriveState:
-        """Update the state with an SDO reply."""
+        """Return the state after an SDO reply of the drive."""
         progress = progress_of(state)
         reply = codec.decode_sdo_reply(data)
         if reply is not None and state.phase == ENABLED and progress.check.waiting:
@@ -250,7 +251,7 @@ class Cia402Drive:
         return to_fault(updated, MISMATCH, problem) if problem else updated
 
     def _on_recheck_reply(self, state: DriveState, progress: Cia402Progress, reply: codec.SdoReply) -> DriveState:
-        """Compare the value of an object, read again while the drive is enabled, with the required value."""
+        """Compare an object, read again from the enabled drive, with the required value."""
         step = self.guards[progress.check.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
@@ -264,10 +265,10 @@ class Cia402Drive:
         return to_fault(updated, MISMATCH, problem) if problem else updated
 
     def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
-        """Update the state with a TPDO: values and power state.
+        """Return the state after a TPDO, with the values and the power state.
 
-        Before the read-back is complete, the mapping of the TPDO is unknown and its values are not
-        used.
+        The mapping of the TPDO is unknown until the read-back is complete. Values from before are
+        not used.
         """
         progress = progress_of(state)
         if progress.cursor.step < len(self.steps):
@@ -288,7 +289,8 @@ class Cia402Drive:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         if target == LISTEN:
             return state, ()
-        # A status word is a sign of life as well. Compiled code may have received the latest one.
+        # A status word is a sign of life, too. Compiled code may have received the latest status
+        # word.
         if 0 <= max(progress_of(state).life_sign_ns, state.feedback_t_ns) < t_ns - self.life_sign_timeout_ns:
             state = state_after_timeout(state)
         state, frames = self._command(state, t_ns, target, torque)
@@ -301,7 +303,10 @@ class Cia402Drive:
     def _command(
         self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames for the requested drive state, except heartbeat and SYNC."""
+        """Return the next state and the frames for the requested drive state.
+
+        Heartbeat and SYNC are not included.
+        """
         progress = progress_of(state)
         if target == DISABLE or (state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)):
             return self._disable(state, progress, t_ns)
@@ -326,7 +331,7 @@ class Cia402Drive:
     def _next_recheck(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next read-back request for an enabled drive, if its time has come."""
+        """Return the next state, and the next read-back request to the enabled drive if due."""
         if t_ns < progress.check.due_ns:
             return state, ()
         step = self.guards[progress.check.step]
@@ -339,11 +344,13 @@ class Cia402Drive:
         )
 
     def _disable(self, state: DriveState, progress: Cia402Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the frames that disable the drive.
+        """Return the next state and the frames that disable the drive.
 
-        A drive that may be enabled counts as enabled until a status word reports disabled.
+        A drive that may be enabled counts as enabled until a status word reports the state
+        disabled.
 
-        Status words need the NMT state operational: NMT start is repeated without feedback.
+        The drive sends status words only in the NMT state operational. NMT start is therefore
+        repeated as long as no feedback arrives.
         """
         phase = ENABLED if progress.may_be_enabled else state.phase
         since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
@@ -357,9 +364,9 @@ class Cia402Drive:
     def _configure(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the next SDO request.
+        """Return the next state and the next SDO request.
 
-        Before the first request the node is set to pre-operational.
+        Before the first request, the host sets the node to the NMT state pre-operational.
         """
         cursor, data, problem = setup.next_request(progress.cursor, self.steps, t_ns)
         updated = state._replace(private=progress._replace(cursor=cursor))
@@ -369,12 +376,14 @@ class Cia402Drive:
         return updated, (self._nmt(codec.PRE_OPERATIONAL), *frames) if cursor.step == 0 and data else frames
 
     def _start(self, state: DriveState, progress: Cia402Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the frames that make the node operational, until a status word arrives.
+        """Return the next state, and the frames to set the node to the NMT state operational.
 
-        A fault cleared by the operator is reset by the rising edge of a control bit.
+        They are repeated until a status word arrives. If the operator has cleared a fault, the
+        frames reset it.
         """
         if progress.clearing and progress.power == codec.FAULT:
-            # The control word alternates, because only the rising edge of bit 7 resets a fault.
+            # The control word alternates between two values, because only the rising edge of bit 7
+            # resets a fault.
             control_word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
             return state._replace(private=progress), (self._rpdo(control_word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_NS:
@@ -385,7 +394,7 @@ class Cia402Drive:
         return state._replace(error_text=text, private=updated), (self._nmt(codec.START),)
 
     def _rpdo(self, control: int, torque: float) -> Frame:
-        """Return the RPDO1 frame with a control word and a torque [N m at the spool]."""
+        """Return RPDO1 with the given control word and torque [N m at the spool]."""
         try:
             data = struct.pack("<H", control) + self.command.pack(torque)[2:]
         except ValueError as error:
@@ -393,7 +402,7 @@ class Cia402Drive:
         return Frame(codec.RPDO + self.node_id, data, 0, self.bus)
 
     def _rest(self, state: DriveState) -> float:
-        """Return the command of a drive that is being enabled: no torque."""
+        """Return the command to a drive that is being enabled: zero torque."""
         return 0.0
 
     def _nmt(self, order: int) -> Frame:
@@ -401,7 +410,7 @@ class Cia402Drive:
         return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number from object 0x1018:4, or the node number if the drive lacks this object."""
+        """Return the serial number in object 0x1018:4, or the node number if the drive does not have this object."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
@@ -409,23 +418,24 @@ class Cia402Drive:
         return CAUSES.get(error, Cause.OTHER if error in codec.ERRORS else Cause.UNKNOWN)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return an RPDO with a target torque [N m at the spool] that leaves the power stage off."""
+        """Return an RPDO with a target torque [N m at the spool] and a control word that leaves the power stage off."""
         return (self._rpdo(codec.DISABLE_VOLTAGE, torque),)
 
     def cut(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque: DISABLE_VOLTAGE, then NMT pre-operational.
 
-        Pre-operational makes the drive fault through object 0x6007.
+        In the NMT state pre-operational, object 0x6007 makes the drive go into fault.
 
-        The order matters. A node outside operational reads no PDO, and CiA 402-2 does not require
-        the loss of torque on entry to pre-operational.
+        The order of the two frames matters. A node reads PDOs only in the NMT state operational.
+        CiA 402-2 does not require that a drive loses its torque when it enters pre-operational.
         """
         return (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._nmt(codec.PRE_OPERATIONAL))
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return the SDO request that ends the supervision of the host's heartbeat.
+        """Return the SDO request after which the drive no longer supervises the host's heartbeat.
 
-        Without this request the drive would latch a fault when the host is silent after a run.
+        Without this request the drive would latch a fault, because the host sends no heartbeat
+        after a run.
         """
         if state.phase != READY:
             return ()
@@ -433,7 +443,10 @@ class Cia402Drive:
         return (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state that repeats the read-back of all objects and then resets the fault."""
+        """Return the state and the frames that reset the fault.
+
+        All objects are then read back again.
+        """
         power = progress_of(state).power
         fresh = Cia402Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)
         updated = state._replace(phase=SILENT, error=0, error_text="", private=fresh)

@@ -1,12 +1,12 @@
 """CiA 402 drive in cyclic synchronous position or velocity mode.
 
 RPDO1 carries the target position (0x607A) or the target velocity (0x60FF). The maximum speed
-(0x6080) is read back before arming and while enabled, besides the objects of torque mode. In
-position mode the following error window (0x6065, 0x6066) makes a blocked shaft a fault of the
-drive.
+(0x6080) is read back before arming and while the drive is enabled, like the objects of torque mode.
+In position mode the drive supervises the following error (0x6065, 0x6066). If the shaft is blocked,
+the drive is therefore in fault.
 
-The unit of 0x60FF differs between makers. Option ``velocity_unit`` is rev_min (default, as on
-EPOS4) or count_s. 0x6080 is in 1/min. Source: CiA 402-2.
+The unit of object 0x60FF differs between makers. The option ``velocity_unit`` is rev_min (the
+default, as on EPOS4) or count_s. The unit of object 0x6080 is 1/min. Source: CiA 402-2.
 """
 
 import math
@@ -23,28 +23,29 @@ from handctl.drives.signals import Table
 from handctl.errors import ConfigError
 
 _MODES = {DriveMode.POSITION: setup.POSITION_MODE, DriveMode.VELOCITY: setup.VELOCITY_MODE}
-"""Value of the object mode of operation, for each mode."""
+"""Value of the object with the mode of operation (0x6060), for each mode."""
 VELOCITY_UNITS = ("rev_min", "count_s")
-"""Values of the option ``velocity_unit``, the default first."""
+"""Values of the option ``velocity_unit`` in the hand file, the default first."""
 INTERPOLATION_MS = 5
-"""Interpolation period of the target position [ms], the period of the commands on a bench."""
+"""Interpolation period of the target position [ms]. It is the period of the commands on a bench."""
 FOLLOWING_ERROR_RAD = 0.5
-"""Following error from which the drive reports a fault [rad at the spool]."""
+"""Largest following error that the drive accepts for any time [rad at the spool]."""
 FOLLOWING_ERROR_MS = 200
-"""Longest duration of a larger following error without a fault [ms]."""
+"""Time for which a larger following error may last before the drive reports a fault [ms]."""
 RAD_S_PER_RPM = math.tau / 60.0
 """Speed of one revolution per minute [rad/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cia402ModeDrive(Cia402Drive):
-    """One motor whose command is a position [rad] or a velocity [rad/s] at the spool.
+    """Motor on a CiA 402 drive whose command is a position [rad] or a velocity [rad/s] at the spool.
 
-    ``torque_limit`` is the largest command.
+    ``torque_limit`` is the largest command in this unit.
 
     Attributes:
         mode: quantity that the drive controls.
-        velocity_unit: one count of 0x60FF [rad/s at the spool], with the sign of the hand.
+        velocity_unit: value of one count of object 0x60FF [rad/s at the spool], negative if a
+            positive count unwinds the tendon.
     """
 
     mode: DriveMode
@@ -61,7 +62,7 @@ class Cia402ModeDrive(Cia402Drive):
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: RPDO, TPDO, and SYNC with the option ``sync``."""
+        """Return the frames of a tick: RPDO, TPDO, and also SYNC if the option ``sync`` is set."""
         return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
 
     def _rest(self, state: DriveState) -> float:
@@ -69,16 +70,16 @@ class Cia402ModeDrive(Cia402Drive):
         return self.mode.rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frame, because the RPDO has no torque in this mode."""
+        """Return no frames, because the RPDO contains no torque in this mode."""
         return ()
 
 
 def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> Cia402ModeDrive:
-    """Return the drive of a motor description in a mode.
+    """Return the drive for a motor description, in the given mode.
 
     Raises:
-        ConfigError: an option unknown to CiA 402, a mode that is not supported, or a limit beyond
-            an object.
+        ConfigError: an option is unknown or wrong, the mode is not supported, or a limit does not
+            fit into the object of the drive.
     """
     if mode not in _MODES:
         raise ConfigError(mode.value, "mode", "position, velocity or torque for a CiA 402 drive")
@@ -101,12 +102,12 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
 
 
 def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Step, ...]:
-    """Return the objects that a mode needs, with their required values.
+    """Return the objects for a mode besides the objects of torque mode, with the required values.
 
     Args:
         mode: quantity that the drive controls.
         speed: maximum speed [1/min].
-        window: following error window [count].
+        window: largest following error that the drive accepts for any time [count].
     """
     write = setup.Check.WRITE
     maximum = setup.Step(write, 0x6080, 0, speed, 4)
@@ -116,7 +117,8 @@ def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Step,
         maximum,
         setup.Step(write, 0x6065, 0, window, 4),
         setup.Step(write, 0x6066, 0, FOLLOWING_ERROR_MS, 2),
-        # The interpolation time is value x 10^index seconds. The index -3 means milliseconds.
+        # The interpolation time is value x 10^index seconds. 0xFD is the index -3, so the value is
+        # in milliseconds.
         setup.Step(write, 0x60C2, 1, INTERPOLATION_MS, 1),
         setup.Step(write, 0x60C2, 2, 0xFD, 1),
     )

@@ -1,4 +1,4 @@
-"""Progress of a CiA 402 drive between frames, and the effects of status words and heartbeats."""
+"""Progress of the state machine of a CiA 402 drive, and the effects of status words and heartbeats."""
 
 from typing import NamedTuple, cast
 
@@ -10,7 +10,7 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-# Error codes that handctl adds, above the 16 bits of an emergency.
+# Error codes added by handctl. All are larger than the 16-bit error codes of emergencies.
 DROPPED_OUT = 0x1_0000
 MISMATCH = 0x1_0001
 LOST = 0x1_0002
@@ -20,11 +20,14 @@ CAUSES = {
     0x8250: Cause.WATCHDOG, 0x8100: Cause.DROPPED_OUT, DROPPED_OUT: Cause.DROPPED_OUT, LOST: Cause.LOST,
     MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH,
 }  # fmt: skip
-"""Cause of each emergency code and of each error code added by handctl."""
+"""Cause of error codes, from emergencies or added by handctl.
+
+Other documented codes have the cause OTHER.
+"""
 CLEAR_TRIES = 20
-"""Number of status words that may still show a fault after the command to clear it."""
+"""Number of status words that may still show a fault after the clear command."""
 REPEAT_NS = 20_000_000
-"""Time between repeated NMT commands [ns]."""
+"""Time after which an NMT command is repeated [ns]."""
 
 
 class Cia402Progress(NamedTuple):
@@ -32,16 +35,18 @@ class Cia402Progress(NamedTuple):
 
     Attributes:
         cursor: position in the list of objects to read back.
-        power: latest power state, empty before the first.
+        power: power state in the latest status word, empty before the first status word.
         code: error code of the latest emergency.
-        life_sign_ns: time of the latest heartbeat or status word [ns], -1 before the first.
+        life_sign_ns: time of the latest heartbeat or status word of the drive [ns], -1 before the
+            first.
         started_ns: time of the latest NMT start [ns].
         heartbeat_sent_ns: time of this host's latest heartbeat [ns].
-        enable_sent: True from the enable command to the next report of disabled.
-        disabling_ns: time of the first disable command [ns], -1 without one.
-        clearing: status words left to ignore while the fault is being cleared.
-        check: position in the read-back repeated while enabled.
-        serial: serial number, 0 if unknown.
+        enable_sent: True from the enable command until the drive reports the state disabled.
+        disabling_ns: time of the first disable command [ns], -1 if none was sent.
+        clearing: number of status words with a fault still to be ignored, while the fault is being
+            cleared.
+        check: position in the repeated read-back of the enabled drive.
+        serial: serial number of the drive, 0 if unknown.
     """
 
     cursor: Cursor = Cursor()
@@ -58,22 +63,22 @@ class Cia402Progress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if an enable command was sent, or if the power stage is reported on."""
+        """Return True if an enable command was sent, or the drive reports that its power stage may be on."""
         return self.enable_sent or (self.power != "" and self.power not in codec.WITHOUT_TORQUE)
 
 
 def progress_of(state: DriveState) -> Cia402Progress:
-    """Return the CiA 402 part of a drive state."""
+    """Return the CiA 402 progress in a drive state."""
     return cast(Cia402Progress, state.private)
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state in phase FAULT with an error code and its text."""
+    """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:
-    """Return the state after a status word reported a power state."""
+    """Return the state after a status word. ``progress`` already has its power state."""
     power = progress.power
     updated = state._replace(private=progress)
     if power == codec.FAULT:
@@ -102,7 +107,7 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
 
 
 def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
-    """Return the state after the drive reported a fault: no torque, and the code of the last emergency."""
+    """Return the state after the drive has reported a fault, with the error code of the latest emergency."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
@@ -113,8 +118,8 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
     """Return the state after a heartbeat of the drive.
 
-    A drive that has left the NMT state operational was stopped, or has restarted and lost its
-    objects.
+    If the drive has left the NMT state operational, it was stopped, or it has restarted and lost
+    its settings.
     """
     progress = progress_of(state)._replace(life_sign_ns=frame.t_ns)
     if frame.data[0] == codec.OPERATIONAL or state.phase not in (READY, ENABLED) or progress.disabling_ns >= 0:
@@ -126,7 +131,7 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
 
 
 def state_after_timeout(state: DriveState) -> DriveState:
-    """Return the state after the drive was silent for too long.
+    """Return the state of a drive that has been silent for too long.
 
     An enabled drive is then in fault. A disabled drive may have restarted, so its objects are read
     back again.

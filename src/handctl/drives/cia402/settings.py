@@ -1,8 +1,8 @@
-"""Objects required in a CiA 402 drive before arming, written and read back by SDO.
+"""Objects of a CiA 402 drive that must have a certain value before arming. They are written and read back by SDO.
 
-RPDO1 has type 255: torque acts on arrival, in the tick that computed it, as in the other protocols.
-TPDO1 has type 1: it is sampled and sent at SYNC. A lost heartbeat of the master is a fault of the
-drive (0x1016, 0x6007).
+RPDO1 has transmission type 255: a torque acts when it arrives, in the tick that has computed it, as
+in the other protocols. TPDO1 has transmission type 1: the drive samples and sends it at SYNC. If
+the heartbeat of the host is missing, the drive is in fault (objects 0x1016, 0x6007).
 """
 
 import enum
@@ -13,21 +13,21 @@ from handctl.drives.cia402 import codec
 from handctl.drives.readback import Cursor
 
 UNLIMITED_TRIES = 1 << 62
-"""Number of requests for an object that is requested until the drive answers: no limit."""
+"""Number of requests for an object without a limit: the object is requested until the drive answers."""
 POSITION_MODE = 8
-"""Mode of operation: cyclic synchronous position."""
+"""Mode of operation for cyclic synchronous position."""
 VELOCITY_MODE = 9
-"""Mode of operation: cyclic synchronous velocity."""
+"""Mode of operation for cyclic synchronous velocity."""
 TORQUE_MODE = 10
-"""Mode of operation: cyclic synchronous torque."""
+"""Mode of operation for cyclic synchronous torque."""
 TARGETS = {POSITION_MODE: (0x607A, 4), VELOCITY_MODE: (0x60FF, 4), TORQUE_MODE: (0x6071, 2)}
-"""Object of the target, and its size in bytes, by mode of operation."""
+"""Object with the target, and size of the target in bytes, by mode of operation."""
 PDO_DISABLED_BIT = 1 << 31
-"""Bit of a COB-ID that disables the PDO."""
+"""Bit in the COB-ID of a PDO (its identifier with flags) that disables the PDO."""
 HOST_NODE = 0x7F
-"""Node number of this host, whose heartbeat the drives supervise."""
+"""Node number of this host. The drives supervise the heartbeat with this number."""
 END_OF_SUPERVISION = 0x1016, 1, (HOST_NODE << 16).to_bytes(4, "little")
-"""Index, sub-index, and value of the object that ends the supervision of the host's heartbeat: time 0."""
+"""Index and sub-index of the object for the supervision of the host's heartbeat, and the value that ends it: time 0."""
 
 
 SERIAL_NUMBER = 0x1018, 4
@@ -35,20 +35,23 @@ SERIAL_NUMBER = 0x1018, 4
 
 
 class Check(enum.IntEnum):
-    """Rule for writing an object and comparing its value."""
+    """Rule by which an object is written, and its value compared with the required value."""
 
     SAME = 0
     """Read the object. The value must equal the required value."""
     HAS_BITS = 1
-    """Read the object. The required bits must be set."""
+    """Read the object. The bits of the required value must be set."""
     WRITE = 2
     """Write the object, then read it. The value must equal the required value."""
     WRITE_IF_PRESENT = 3
-    """Do as WRITE. A drive without the object is accepted."""
+    """Do as in WRITE. A drive without the object is accepted."""
     READ_IF_PRESENT = 4
     """Read the object and accept any value. A drive without the object is accepted."""
     SAME_IF_PRESENT = 5
-    """Read the object. The value must equal the required value. A drive without the object is accepted."""
+    """Read the object.
+
+    The value must equal the required value. A drive without the object is accepted.
+    """
     LOW_WORD = 6
     """Read the object. Its low 16 bits must equal the required value."""
     ADJUST = 7
@@ -56,11 +59,11 @@ class Check(enum.IntEnum):
 
 
 OPTIONAL = (Check.WRITE_IF_PRESENT, Check.READ_IF_PRESENT, Check.SAME_IF_PRESENT)
-"""Checks that accept a device without the object."""
+"""Rules that accept a device without the object."""
 
 
 class Step(NamedTuple):
-    """Object with its required value."""
+    """Object of a drive with its required value, and the rule by which it is checked."""
 
     check: Check
     number: int
@@ -80,12 +83,12 @@ class Step(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return the name of the object for messages."""
+        """Return the name of the object, for messages to the operator."""
         return f"object {self.number:#06x}:{self.sub}"
 
 
 PROTECTION_OBJECTS = ((0x1016, 1), (0x6072, 0), (0x6080, 0))
-"""Objects with the drive's own protections: supervision of the host's heartbeat, maximum torque, maximum speed.
+"""Objects of the protections in the drive: supervision of the host's heartbeat, maximum torque, maximum speed.
 
 The maximum speed is required only in the position and velocity modes.
 """
@@ -94,37 +97,39 @@ The maximum speed is required only in the position and velocity modes.
 def required_steps(
     node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat_ms: int, mode: int = TORQUE_MODE
 ) -> tuple[Step, ...]:
-    """Return all objects to write and read back, in the order of the requests.
+    """Return all objects written and read back before arming, in the order of the requests.
 
     Args:
         node_id: node number of the drive.
-        rated: rated torque in the unit of object 0x6076.
+        rated: rated torque of the drive, in the unit of object 0x6076.
         max_torque: maximum torque [1/1000 of rated].
-        watchdog_ms: longest time without this host's heartbeat [ms].
+        watchdog_ms: time without this host's heartbeat after which the drive is in fault [ms].
         heartbeat_ms: period of the drive's heartbeat [ms].
         mode: mode of operation, key of ``TARGETS``.
     """
     target, size = TARGETS[mode]
     same, bits, write, write_optional, read, *_ = Check
     bases = ((0x1400, codec.RPDO), (0x1800, codec.TPDO))
-    # PDO 2 to 4 are switched off. Their records have consecutive indices, and their default COB-IDs
-    # are 0x100 apart.
+    # PDOs 2 to 4 are switched off. Their records have consecutive indices, and their default
+    # identifiers are 0x100 apart.
     others = [
         Step(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
         for base, cob in bases
         for i in (1, 2, 3)
     ]
     return (
-        # 0x0192 = 402: the profile number in the low word of the device type.
+        # 0x0192 is 402, the profile number in the low word of the device type.
         Step(bits, 0x1000, 0, 0x0192, 4),
         Step(read, *SERIAL_NUMBER, 0, 4),
         Step(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
-        # In the supported modes, bit 9 is mode 10, cyclic synchronous torque.
+        # The object has a bit for each mode that the drive supports. Bit 9 is mode 10, cyclic
+        # synchronous torque.
         Step(bits, 0x6502, 0, 1 << mode - 1, 4),
         Step(same, 0x6076, 0, rated, 4),
         Step(write, 0x6072, 0, max_torque, 2),
         Step(write, 0x6071, 0, 0, 2),
-        # Abort connection option 1 makes the loss of the master a fault.
+        # With abort connection option 1, the drive is in fault when the heartbeat of the host is
+        # missing.
         Step(write, 0x6007, 0, 1, 2),
         Step(write, 0x1016, 1, HOST_NODE << 16 | watchdog_ms, 4),
         Step(write, 0x1017, 0, heartbeat_ms, 2),
@@ -139,10 +144,11 @@ def required_steps(
 def pdo_steps(
     communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]
 ) -> tuple[Step, ...]:
-    """Return the steps that set up one PDO: disable it, map its objects, enable it."""
+    """Return the steps that set up one PDO: they disable the PDO, map its objects, and enable it."""
     write = Check.WRITE
     return (
-        # CiA 301: the mapping of a PDO changes only while the PDO is off and its entry count is 0.
+        # By CiA 301, the mapping of a PDO can be changed only while the PDO is off and its entry
+        # count is 0.
         Step(write, communication, 1, PDO_DISABLED_BIT | cob, 4),
         Step(write, mapping, 0, 0, 1),
         *(Step(write, mapping, i + 1, entry, 4) for i, entry in enumerate(objects)),
@@ -153,23 +159,23 @@ def pdo_steps(
 
 
 def is_write_next(cursor: Cursor, step: Step) -> bool:
-    """Return True if the next request writes the object: before it is read, or because its value was wrong."""
+    """Return True if the next request writes the object: its rule writes first, or its value was wrong."""
     return cursor.writing or (step.writes and not cursor.written)
 
 
 def _has_required_value(step: Step, value: int) -> bool:
-    """Return True if the value of an object is the required one."""
+    """Return True if an object has the required value, by the rule of the step."""
     if step.check == Check.HAS_BITS:
         return value & step.value == step.value
     return (value & 0xFFFF if step.check == Check.LOW_WORD else value) == step.value
 
 
 def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Cursor, int, str]:
-    """Advance the read-back with an SDO reply. Replies to other requests are ignored.
+    """Return the position in the read-back after an SDO reply. Replies to other requests have no effect.
 
     Returns:
-        the new cursor, the value of a TELL_IF_THERE object (else 0), and the problem in words,
-        empty without a problem.
+        the new cursor, the value of an object with the rule READ_IF_PRESENT (0 for any other), and
+        the problem in words, empty without a problem.
     """
     step = required[cursor.step]
     if not cursor.waiting or reply[:2] != (step.number, step.sub):
@@ -195,8 +201,8 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
 def next_request(cursor: Cursor, required: tuple[Step, ...], t_ns: int) -> tuple[Cursor, bytes, str]:
     """Return the next request of the read-back: cursor, SDO payload, and problem in words.
 
-    The payload is empty while the drive has not answered. The problem is empty if nothing is wrong.
-    The first object is requested until the drive answers.
+    The payload is empty while an answer of the drive is awaited. The problem is empty if all is
+    right. The first object is requested until the drive answers.
     """
     step = required[cursor.step]
     cursor, send, problem = readback.request_setting(

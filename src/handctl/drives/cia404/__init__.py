@@ -1,1 +1,1 @@
-"""CiA 404 measuring amplifiers for load cells over CANopen."""
+"""Measuring amplifiers for load cells over CANopen, with the device profile CiA 404."""

@@ -1,8 +1,9 @@
-"""CiA 404 amplifier as a state machine: from silence to an answer to every SYNC.
+"""State machine of a CiA 404 measuring amplifier: it sets the amplifier up until it answers every SYNC.
 
-The host sets the amplifier to pre-operational, reads and writes its objects, and starts it. Its
-TPDOs are used only after the start. An amplifier that restarts is set up again before the next
-arming, and never while torque may act. No frame of this module reaches a motor.
+The host sets the amplifier to the NMT state pre-operational, reads and writes its objects, and
+starts it. TPDOs of the amplifier are used only after this start. If an amplifier restarts, it is
+set up again before the next arming. It is never set up while motors may make torque. No frame of
+this module moves a motor.
 """
 
 from dataclasses import dataclass
@@ -19,14 +20,14 @@ SILENT, CONFIGURING, READY = Phase.SILENT, Phase.CONFIGURING, Phase.READY
 
 
 class AmplifierState(NamedTuple):
-    """State of the set-up of an amplifier between frames.
+    """State of an amplifier in its set-up.
 
     Attributes:
-        node_id: node number.
+        node_id: node number of the amplifier.
         phase: SILENT, CONFIGURING, READY or FAULT.
         cursor: position in the list of objects to read back.
         started_ns: time of the latest NMT start [ns].
-        error_text: problem in words, empty without one.
+        error_text: problem in words, empty without a problem.
     """
 
     node_id: int
@@ -37,19 +38,19 @@ class AmplifierState(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return the name of the amplifier for messages."""
+        """Return the name of the amplifier, for messages to the operator."""
         return f"amplifier 0x{self.node_id:02x}"
 
 
 @dataclass(frozen=True, slots=True)
 class Amplifier:
-    """Measuring amplifier with one or more load cells. Immutable.
+    """Measuring amplifier with one or more load cells. Objects are immutable.
 
     Attributes:
-        bus: index of the bus.
-        node_id: 1 to 0x7e.
-        tpdo_ids: identifiers of its frames with tensions.
-        steps: objects with the values required before arming.
+        bus: index of the bus of the amplifier.
+        node_id: node number, from 1 to 0x7e.
+        tpdo_ids: identifiers of the frames with tensions from the amplifier.
+        steps: objects of the amplifier, with the values required before arming.
     """
 
     bus: int
@@ -58,16 +59,19 @@ class Amplifier:
     steps: tuple[setup.Step, ...]
 
     def initial(self) -> AmplifierState:
-        """Return the state before the first frame."""
+        """Return the state of the amplifier before the first frame."""
         return AmplifierState(self.node_id)
 
     @property
     def service_ids(self) -> frozenset[int]:
-        """Return the identifiers of SDO replies, emergency, and heartbeat."""
+        """Return the identifiers of the amplifier's SDO replies, emergencies, and heartbeats."""
         return frozenset(base + self.node_id for base in (codec.SDO_REPLY, codec.EMERGENCY, codec.HEARTBEAT))
 
     def receive(self, state: AmplifierState, frame: Frame) -> AmplifierState:
-        """Return the state after one received frame. Frames of other nodes and of a wrong length are ignored."""
+        """Return the state after a received frame.
+
+        Frames of other nodes, or with a wrong length, have no effect.
+        """
         if frame.bus != self.bus or state.phase == Phase.FAULT:
             return state
         if frame.can_id in self.tpdo_ids:
@@ -79,16 +83,19 @@ class Amplifier:
         return state
 
     def _on_life_sign(self, state: AmplifierState) -> AmplifierState:
-        """Return the state after a sign of the NMT state operational.
+        """Return the state after a frame that shows the NMT state operational.
 
-        The sign is used only after the set-up and the start.
+        Such a frame has an effect only after the set-up and the start of the amplifier.
         """
         if state.cursor.step < len(self.steps) or state.started_ns < 0:
             return state
         return state._replace(phase=READY, error_text="")
 
     def _on_heartbeat(self, state: AmplifierState, nmt: int) -> AmplifierState:
-        """Return the state after a heartbeat. An amplifier that restarts, or is stopped, needs the set-up again."""
+        """Return the state after a heartbeat.
+
+        An amplifier that has restarted or was stopped must be set up again.
+        """
         if nmt == codec.OPERATIONAL:
             return self._on_life_sign(state)
         if nmt == codec.BOOT_UP or state.phase == READY:
@@ -96,7 +103,7 @@ class Amplifier:
         return state
 
     def _on_object(self, state: AmplifierState, data: bytes) -> AmplifierState:
-        """Return the state after an SDO reply."""
+        """Return the state after an SDO reply of the amplifier."""
         reply = codec.decode_sdo_reply(data)
         if reply is None or state.cursor.step >= len(self.steps):
             return state
@@ -107,7 +114,10 @@ class Amplifier:
     def advance(
         self, state: AmplifierState, t_ns: int, target: DriveTarget
     ) -> tuple[AmplifierState, tuple[Frame, ...]]:
-        """Return the next state and the frames to send. Only ``DriveTarget.POLL`` sets an amplifier up."""
+        """Return the next state and the frames to send.
+
+        The amplifier is set up only with ``DriveTarget.POLL``.
+        """
         if target != DriveTarget.POLL or state.phase in (READY, Phase.FAULT):
             return state, ()
         if state.cursor.step < len(self.steps):
@@ -118,7 +128,10 @@ class Amplifier:
         return state._replace(started_ns=t_ns, error_text=text), (self._nmt(codec.START),)
 
     def _configure(self, state: AmplifierState, t_ns: int) -> tuple[AmplifierState, tuple[Frame, ...]]:
-        """Return the state and the next SDO request. The first request follows NMT pre-operational."""
+        """Return the next state and the next SDO request.
+
+        NMT pre-operational precedes the first request.
+        """
         cursor, data, problem = setup.next_request(state.cursor, self.steps, t_ns)
         updated = state._replace(cursor=cursor)
         if problem:

@@ -1,16 +1,16 @@
-"""Load cells on CiA 404 measuring amplifiers: the frames of every tick.
+"""Load cells on CiA 404 measuring amplifiers: the frames that a tick exchanges with them.
 
-All identifiers are the base plus the node number n.
+The identifiers of TPDOs are a base plus the node number n. SYNC has no payload (-).
 
     frame    identifier                 to          bytes and fields
     SYNC     0x080                      amplifiers  -
     TPDO1    0x180 + n                  host        0..3 channel 1 | 4..7 channel 2
     TPDO2-4  0x280, 0x380, 0x480 + n    host        two further channels each
 
-A channel is the process value as INTEGER32 (object 0x9130, with decimal digits) or REAL32 (object
-0x6130), in newton, little-endian. A frame has no counter. A frame that arrives earlier than any
-answer to the latest SYNC can arrive is stale. A later frame counts as fresh. Source:
-docs/facts/cia404.md.
+A channel is the process value in newton, little-endian, as INTEGER32 (object 0x9130, with decimal
+digits) or REAL32 (object 0x6130). A frame has no counter, so its time shows which SYNC it answers.
+It is stale if it arrives before an answer to the latest SYNC can arrive. A later frame counts as
+fresh. Source: docs/facts/cia404.md.
 """
 
 from dataclasses import dataclass
@@ -32,26 +32,29 @@ from handctl.drives.signals import Coding, Message, Quantity, Signal
 TARE_MARGIN_N = 6.0
 """Largest accepted tare of a load cell [N]."""
 TENSION_LOW_N = -4.0
-"""Tared tension below which a load cell or its wire counts as broken [N], as with the sensor node of handctl."""
+"""Tared tension below which a load cell or its wire counts as broken [N].
+
+It is that of the sensor node of handctl.
+"""
 SHORTEST_ANSWER_NS = 100_000
 """Shortest time from the start of a tick to the end of an answer to its SYNC [ns].
 
-SYNC (47 bits) and a TPDO of 4 bytes (79 bits) take 126 us at 1 Mbit/s. The difference is a margin
-for the time stamp.
+SYNC (47 bits) and a TPDO of 4 bytes (79 bits) take 126 us at 1 Mbit/s. The difference from this
+value is a margin for errors of the time stamp.
 """
 
 
 class AmplifierDescription(Protocol):
-    """Keys of the section ``sensor_node`` in the hand file that this module uses."""
+    """Keys for this module, in the section ``sensor_node`` of the hand file."""
 
     @property
     def sync_id(self) -> int:
-        """Return the identifier of SYNC."""
+        """Return the identifier of the SYNC frame."""
         ...
 
     @property
     def tendons(self) -> tuple[str, ...]:
-        """Return the names of tendons with a load cell."""
+        """Return the names of the tendons with a load cell."""
         ...
 
     @property
@@ -61,7 +64,7 @@ class AmplifierDescription(Protocol):
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
-        """Return the number of channels in use of each amplifier."""
+        """Return the number of channels of each amplifier that have a load cell."""
         ...
 
     @property
@@ -71,30 +74,31 @@ class AmplifierDescription(Protocol):
 
     @property
     def process_value(self) -> str:
-        """Return ``int32`` or ``real32``."""
+        """Return the coding of the process value in frames: ``int32`` or ``real32``."""
         ...
 
     @property
     def decimal_digits(self) -> int:
-        """Return the decimal digits of an ``int32`` value."""
+        """Return the number of decimal digits of an ``int32`` process value."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Cia404LoadCells:
-    """Load cells on CiA 404 amplifiers. Implements ``sensors.contract.Sensors``. Immutable.
+    """Load cells on CiA 404 amplifiers, with the interface ``sensors.contract.Sensors``. Objects are immutable.
 
     Attributes:
-        bus: index of the bus.
-        sync_id: identifier of SYNC.
-        amplifiers: the amplifiers.
-        group_ranges: indices of the frames of each amplifier.
-        ids: identifier of each frame.
-        channels: indices of the tendons in each frame, in the hand's order.
-        frame_of: frame of each tendon of the hand, -1 without a load cell.
+        bus: index of the bus of the amplifiers.
+        sync_id: identifier of the SYNC frame.
+        amplifiers: measuring amplifiers for the host to set up.
+        group_ranges: indices in ``ids`` of the frames from each amplifier.
+        ids: identifier of each frame with tensions.
+        channels: indices of the tendons in each of these frames, as numbered in the hand.
+        frame_of: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
+            without a load cell.
         range_n: rated load of the load cells [N].
-        scale: tension of one count [N], 1 for a float.
-        coding: coding of a channel.
+        scale: change of the tension per count [N], 1 for ``real32``.
+        coding: coding of each channel in a frame.
     """
 
     bus: int
@@ -113,11 +117,11 @@ class Cia404LoadCells:
         """Return the load cells of a hand.
 
         Args:
-            node: description of the amplifiers.
-            bus: index of the bus.
+            node: description of the amplifiers in the hand file.
+            bus: index of the bus of the amplifiers.
             tendons: all tendon names of the hand, in order.
         """
-        assert node.range_N is not None  # the checks of the hand file guarantee a value
+        assert node.range_N is not None  # the checks of the hand file guarantee that it has a value
         _, coding = PROCESS_VALUES[node.process_value]
         amplifiers, ranges, ids, channels = list[Amplifier](), list[range](), list[int](), list[tuple[int, ...]]()
         cells = [tendons.index(name) for name in node.tendons]
@@ -146,35 +150,35 @@ class Cia404LoadCells:
 
     @property
     def lengths(self) -> tuple[int, ...]:
-        """Return the payload length of each frame [bytes]."""
+        """Return the payload length of each frame with tensions [bytes]."""
         return tuple(CHANNEL_BYTES * len(indices) for indices in self.channels)
 
     @property
     def tension_frames(self) -> int:
-        """Return the number of frames, because all have tensions."""
+        """Return the number of frames, because all frames contain tensions."""
         return len(self.ids)
 
     @property
     def service_ids(self) -> frozenset[int]:
-        """Return the identifiers of SDO replies, emergencies and heartbeats."""
+        """Return the identifiers of the amplifiers' SDO replies, emergencies and heartbeats."""
         return frozenset(can_id for one in self.amplifiers for can_id in one.service_ids)
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return all identifiers of the amplifiers' frames."""
+        """Return the identifiers of all frames from the amplifiers."""
         return frozenset(self.ids) | self.service_ids
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers sent only by the host: NMT, SYNC, and SDO requests."""
+        """Return the identifiers of frames that only a host sends: NMT, SYNC, and SDO requests."""
         requests = {codec.SDO_REQUEST + one.node_id for one in self.amplifiers}
         return frozenset(requests | {codec.NMT, self.sync_id} if self.amplifiers else ())
 
     @property
     def cell_range(self) -> tuple[float, float]:
-        """Return the rated load of both signs [N].
+        """Return the rated load of the load cells with both signs, as the limits of the range [N].
 
-        The codes for an overload are beyond this range: NaN, or -2^31 counts.
+        An amplifier reports an overload as NaN or -2^31 counts, which are outside this range.
         """
         return -self.range_n, self.range_n
 
@@ -190,17 +194,17 @@ class Cia404LoadCells:
 
     @property
     def exchange(self) -> tuple[tuple[int, float], ...]:
-        """Return the frames of a tick as (payload bytes, frames per tick): SYNC, and every TPDO."""
+        """Return the frames of a tick, SYNC and every TPDO, as (payload bytes, frames per tick)."""
         return ((0, 1.0), *((length, 1.0) for length in self.lengths)) if self.ids else ()
 
     @property
     def background(self) -> tuple[tuple[int, float], ...]:
-        """Return the heartbeats as (payload bytes, frames per second)."""
+        """Return the heartbeats of the amplifiers as (payload bytes, frames per second)."""
         return ((1, 1e3 / HEARTBEAT_MS),) * len(self.amplifiers)
 
     @property
     def messages(self) -> tuple[Message, ...]:
-        """Return the signal tables of the frames. The channel of a signal is the index of its tendon."""
+        """Return the signal tables of the frames. ``Signal.channel`` is the index of the tendon."""
         messages = []
         for amplifier, groups in zip(self.amplifiers, self.group_ranges, strict=True):
             for tpdo, group in enumerate(groups):
@@ -215,16 +219,16 @@ class Cia404LoadCells:
 
     @property
     def sync_message(self) -> Message:
-        """Return the empty SYNC. A node without object 0x1019 expects no counter."""
+        """Return the signal table of SYNC, without a counter: a node without object 0x1019 expects none."""
         return Message("sync", self.sync_id, 0)
 
     @property
     def has_counter(self) -> bool:
-        """Return False, because a process value does not identify its SYNC."""
+        """Return False, because a frame of an amplifier does not contain the counter of its SYNC."""
         return False
 
     def counter(self, k: int) -> int:
-        """Return 0, because SYNC has no counter."""
+        """Return 0, because this SYNC has no counter."""
         return 0
 
     def sync(self, k: int) -> Frame:
@@ -232,19 +236,19 @@ class Cia404LoadCells:
         return Frame(self.sync_id, b"", bus=self.bus)
 
     def earliest_answer_ns(self, sync_ns: int) -> int:
-        """Return the earliest arrival of an answer to a SYNC sent after ``sync_ns`` [ns]."""
+        """Return the earliest time at which the answer to a SYNC sent after ``sync_ns`` can arrive [ns]."""
         return sync_ns + SHORTEST_ANSWER_NS
 
     def answers(self, data: bytes, counter: int) -> bool:
-        """Return True, because no payload identifies its SYNC."""
+        """Return True, because a payload does not show which SYNC it answers."""
         return True
 
     def lost(self, syncs: int, accepted: int, stale: int) -> int:
-        """Return how many frames are lost, except those of the last SYNC, which may still arrive."""
+        """Return the number of lost frames. Answers to the last SYNC are not counted."""
         return max(0, (syncs - 1) * len(self.ids) - accepted - stale)
 
     def group_of_tendon(self, index: int) -> int:
-        """Return the index of the frame with a tendon's load cell, -1 without a load cell."""
+        """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
         return self.frame_of[index]
 
     def group_of_joint(self, index: int) -> int:

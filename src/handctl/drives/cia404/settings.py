@@ -1,7 +1,8 @@
-"""Objects required in a CiA 404 amplifier before arming, written and read back by SDO.
+"""Objects of a CiA 404 amplifier that must have a certain value before arming. They are checked and written by SDO.
 
-Every TPDO with load cells has transmission type 1: sampled and sent at each SYNC. Unit and decimal
-digits are read first, and written only if they differ. Source: docs/facts/cia404.md.
+Every TPDO with load cells has transmission type 1: the amplifier samples and sends it at each SYNC.
+Unit and decimal digits are read first. They are written only if they differ from the required
+values. Source: docs/facts/cia404.md.
 """
 
 from handctl.drives.cia402 import codec
@@ -10,27 +11,33 @@ from handctl.drives.cia402.settings import PDO_DISABLED_BIT, Check, Step, pdo_st
 from handctl.drives.signals import Coding
 
 NEWTON = 0x0021_0000
-"""Unit newton: prefix, numerator, denominator, reserved. Source: CiA 303-2, newton is 0x21."""
+"""Code of the unit newton: prefix, numerator, denominator, and a reserved byte.
+
+Source: CiA 303-2, newton is 0x21.
+"""
 HEARTBEAT_MS = 100
-"""Period of the amplifier's heartbeat [ms]."""
+"""Period of an amplifier's heartbeat [ms]."""
 TPDO_BASES = (0x180, 0x280, 0x380, 0x480)
-"""Identifiers of TPDO 1 to 4, without the node number that is added. Source: CiA 301, predefined connection set."""
+"""Identifiers of TPDOs 1 to 4, before the node number is added.
+
+Source: CiA 301, predefined connection set.
+"""
 CHANNELS_PER_TPDO = 2
-"""Values of 32 bits in 8 bytes."""
+"""Number of process values in a TPDO: 8 bytes hold two values of 32 bits."""
 CHANNEL_BYTES = 4
 """Size of a process value [bytes]."""
 PROCESS_VALUES = {"int32": (0x9130, Coding.SIGNED), "real32": (0x6130, Coding.FLOAT)}
-"""Object of the process value, and its coding, by the value of ``process_value`` in the hand file."""
+"""Object with the process value, and coding of this value, by the value of ``process_value`` in the hand file."""
 
 
 def required_steps(node_id: int, channels: int, process_value: str, digits: int) -> tuple[Step, ...]:
-    """Return all objects to read, write and read back, in the order of the requests.
+    """Return all objects checked or written before arming, in the order of the requests.
 
     Args:
         node_id: node number of the amplifier.
         channels: number of channels in use, from channel 1 on.
         process_value: key of ``PROCESS_VALUES``.
-        digits: decimal digits of an ``int32`` value.
+        digits: number of decimal digits of an ``int32`` process value.
     """
     adjust = Check.ADJUST
     number, _ = PROCESS_VALUES[process_value]
@@ -43,14 +50,15 @@ def required_steps(node_id: int, channels: int, process_value: str, digits: int)
         steps.append(Step(adjust, 0x6131, channel, NEWTON, 4))
         if process_value == "int32":
             steps.append(Step(adjust, 0x6132, channel, digits, 1))
-        # Bit 0 means not valid, bits 1 and 2 mean positive and negative overload.
+        # Object 0x6150 is the status of the channel. Bit 0 means not valid, bits 1 and 2 positive
+        # and negative overload.
         steps.append(Step(Check.SAME_IF_PRESENT, 0x6150, channel, 0, 1))
     for i, base in enumerate(TPDO_BASES):
         first = CHANNELS_PER_TPDO * i
         mapped = range(first + 1, min(first + CHANNELS_PER_TPDO, channels) + 1)
         entries = tuple(number << 16 | channel << 8 | 8 * CHANNEL_BYTES for channel in mapped)
         if entries:
-            # An inhibit time could delay answers. It is set to 0 while the PDO is off.
+            # An inhibit time of the PDO could delay answers. It is set to 0 while the PDO is off.
             inhibit = Step(Check.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
             off, *rest = pdo_steps(0x1800 + i, 0x1A00 + i, base + node_id, 1, entries)
             steps += [off, inhibit, *rest]

@@ -1,1 +1,1 @@
-"""Motors with the MIT protocol: Damiao, and CubeMars, whose feedback contains less."""
+"""Motors with the MIT protocol: Damiao motors, and CubeMars motors, whose feedback contains less data."""

@@ -1,15 +1,16 @@
-"""Frames of Damiao's MIT mode: bytes <-> values at the output shaft.
+"""Conversion of the frames of Damiao motors between bytes and values at the output shaft.
 
-Command, identifier ESC_ID, 8 bytes, big-endian, the first field in the highest bits:
+Command with identifier ESC_ID, 8 bytes, big-endian, with the first field in the highest bits:
 
     bits    63..48             47..36             35..24            23..12          11..0
     field   position           velocity           kp                kd              torque
     range   +-PMAX rad         +-VMAX rad/s       0..500 N m/rad    0..5 N m s/rad  +-TMAX N m
 
-Special command, identifier ESC_ID, 8 bytes: FF FF FF FF FF FF FF, then FC enable, FD disable,
-FB clear error.
+Special command with identifier ESC_ID, 8 bytes: seven bytes FF, then FC to enable, FD to disable,
+or FB to clear an error.
 
-Commands of the motor's own modes, each followed only in its mode, little-endian:
+Commands of the modes in which the motor controls its own position or velocity, little-endian. The
+motor follows each of them only in its mode:
 
     identifier       mode                 bytes and fields
     0x100 + ESC_ID   position-velocity    0..3 position float32 [rad] | 4..7 speed limit float32 [rad/s]
@@ -17,23 +18,24 @@ Commands of the motor's own modes, each followed only in its mode, little-endian
     0x300 + ESC_ID   force-position       0..3 position float32 [rad] | 4..5 speed limit [0.01 rad/s]
                                           | 6..7 current limit [1/10000 of the largest]
 
-Feedback, identifier MST_ID, 8 bytes, big-endian:
+Feedback with identifier MST_ID, 8 bytes, big-endian:
 
     byte    0                  1, 2          3, 4 high     4 low, 5      6              7
     field   state 4 | node 4   position 16   velocity 12   torque 12     MOSFET degC    winding degC
     range   see ERRORS         +-PMAX rad    +-VMAX rad/s  +-TMAX N m    1 degC/count   1 degC/count
 
-Register request, identifier 0x7FF, and register reply, identifier MST_ID, 8 bytes, little-endian:
+Register request with identifier 0x7FF, and register reply with identifier MST_ID, 8 bytes,
+little-endian:
 
     byte    0, 1     2                                                3          4..7
     field   ESC_ID   33 read, 55 write, AA save, CC refresh           register   uint32 or float32
 
-Register replies share identifier and length with feedback. Here they are distinguished by the first
-four bytes. Feedback with the same four bytes would mean a position within 0.3 % of -PMAX, outside
-the travel of any hand.
+Register replies have the same identifier and length as feedback. This module distinguishes them by
+the first four bytes. Feedback with the first four bytes of a register reply would mean a position
+within 0.3 % of -PMAX, which no hand can reach.
 
-Source: Damiao DM-J4310-2EC manual. Details that the manual lacks are from public clients (LeRobot,
-i2rt, openarm_can).
+Source: Damiao DM-J4310-2EC manual. Details missing in the manual are from public client programs
+(LeRobot, i2rt, openarm_can).
 """
 
 import math
@@ -43,17 +45,21 @@ from typing import NamedTuple
 from handctl.drives.signals import Coding, Message, Quantity, Signal, Table
 
 BROADCAST_ID = 0x7FF
-"""Identifier of register frames. The node number of the motor is in the payload."""
-# Last byte of the special commands.
+"""Identifier of register requests to all motors.
+
+The payload contains the node number of the motor.
+"""
+# Last byte of each special command.
 ENABLE = 0xFC
 DISABLE = 0xFD
 CLEAR = 0xFB
-# Operations on registers. REFRESH requests a feedback frame.
+# Operations in a register request. REFRESH requests a feedback frame instead of a register.
 READ = 0x33
 WRITE = 0x55
 SAVE = 0xAA
 REFRESH = 0xCC
-# Register numbers: watchdog, mode, serial number, and full scale of position, velocity, torque.
+# Register numbers: ramps, largest speed, watchdog, mode, serial number, and full scale of position,
+# velocity and torque.
 ACCELERATION = 4
 DECELERATION = 5
 MAX_SPEED = 6
@@ -67,27 +73,27 @@ REGISTER_NAMES = {
     ACCELERATION: "ACC", DECELERATION: "DEC", MAX_SPEED: "MAX_SPD",
     TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX",
 }  # fmt: skip
-"""Register names in messages."""
+"""Names of the registers in messages to the operator."""
 _INTEGER = struct.Struct("<I")
 _FLOAT = struct.Struct("<f")
 _FORMATS = {TIMEOUT: _INTEGER, CTRL_MODE: _INTEGER, SERIAL_NUMBER: _INTEGER}
-"""Registers with an unsigned integer. All other registers are float32."""
+"""Registers with an unsigned integer. All other registers contain a float32."""
 MIT_MODE = 1
-"""Value of CTRL_MODE for MIT mode."""
+"""Value of register CTRL_MODE for MIT mode."""
 POSITION_MODE = 2
-"""Value of CTRL_MODE for position-velocity mode."""
+"""Value of register CTRL_MODE for position-velocity mode."""
 VELOCITY_MODE = 3
-"""Value of CTRL_MODE for velocity mode."""
+"""Value of register CTRL_MODE for velocity mode."""
 FORCE_MODE = 4
-"""Value of CTRL_MODE for force-position mode."""
+"""Value of register CTRL_MODE for force-position mode."""
 SPEED_CODES = 100.0
-"""Codes per rad/s of the speed limit in force-position mode."""
+"""Number of codes per rad/s, in the speed limit of force-position mode."""
 FULL_SCALE_COUNT = 10_000
-"""Largest code of speed and current limit in force-position mode."""
+"""Largest code of the speed limit and of the current limit, in force-position mode."""
 TIMEOUT_UNITS_PER_MS = 20
-"""Watchdog counts per millisecond. One count is 50 us."""
+"""Number of counts per millisecond in register TIMEOUT, the watchdog. One count is 50 us."""
 
-# State nibbles of a motor without an error.
+# Values of the state nibble for a motor without an error.
 DISABLED = 0
 ENABLED = 1
 ERRORS = {
@@ -101,26 +107,26 @@ ERRORS = {
     0xD: "communication lost: the drive's watchdog fired",
     0xE: "overload",
 }
-"""Error text by state nibble. A motor with one of these errors makes no torque."""
+"""Text of each error, by the state nibble. A motor with one of these errors makes no torque."""
 
 _REPLY = struct.Struct("<HBB")
 """First bytes of a register reply: node number, operation, register."""
-# Largest codes of the 16 bit and the 12 bit fields.
+# Largest codes of the 16-bit field and of the 12-bit fields.
 MAX_POSITION_COUNT = 2**16 - 1
 MAX_COUNT = 2**12 - 1
 KP_MAX = 500.0
-"""Full scale of kp [N m/rad]."""
+"""Full scale of the gain kp in a command [N m/rad]."""
 KD_MAX = 5.0
-"""Full scale of kd [N m s/rad]."""
+"""Full scale of the gain kd in a command [N m s/rad]."""
 _NO_MOTION = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
-"""Payload of a command with position, velocity, and gains 0.
+"""Payload of a command in which position, velocity, and gains are 0.
 
-Position and velocity act only through the gains.
+The motor uses position and velocity only together with the gains.
 """
 
 
 class Ranges(NamedTuple):
-    """Full scale of registers PMAX, VMAX, TMAX: position [rad], velocity [rad/s], torque [N m]."""
+    """Full scale of a motor, as in its registers PMAX, VMAX, TMAX: position [rad], velocity [rad/s], torque [N m]."""
 
     position: float
     velocity: float
@@ -128,25 +134,25 @@ class Ranges(NamedTuple):
 
     @property
     def position_step(self) -> float:
-        """Return the position step of one count of the 16-bit field [rad]."""
+        """Return the change of the position per count of its 16-bit field [rad]."""
         return 2 * self.position / 0xFFFF
 
 
 Feedback = tuple[int, float, float, float, float]
-"""Feedback: state nibble, position [rad], velocity [rad/s], torque [N m], higher of two temperatures [degC]."""
+"""Values in feedback: state nibble, position [rad], velocity [rad/s], torque [N m], higher temperature [degC]."""
 
 
 def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) -> Message:
-    """Return the signal table of the command with kp = kd = 0.
+    """Return the signal table of the torque command, in which kp = kd = 0.
 
-    Zero torque has no code in this format. 0 N m is sent as the nearest code, half a step
-    (TMAX / 4095) away.
+    This format has no code for zero torque. 0 N m is sent as the nearest code, half a step (TMAX /
+    4095) away.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
         ranges: full scale of the motor. TMAX is the torque limit.
-        sign: sign of the torque, 1 if positive torque winds.
-        flags: flags of the frame.
+        sign: 1 if positive torque of the motor winds the tendon, else -1.
+        flags: flags of the frame, see ``frame``.
     """
     unused = Quantity.UNUSED
     signals = (
@@ -167,15 +173,16 @@ def impedance_message(
     flags: int = 0,
     gains: tuple[float, float] = (KP_MAX, KD_MAX),
 ) -> Message:
-    """Return the command with position, velocity, kp, kd and torque, see ``signals.POSITION_COMMAND``.
+    """Return the signal table of the command with position, velocity, kp, kd and torque, see ``POSITION_COMMAND``.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
         ranges: full scale of the motor. TMAX is the torque limit.
-        sign: sign of position, velocity and torque, 1 if positive torque winds.
-        zero: motor angle of the spool's zero [rad].
+        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+            have the same sign.
+        zero: motor angle at spool angle zero [rad].
         flags: flags of the frame.
-        gains: full scale of kp [N m/rad] and kd [N m s/rad].
+        gains: full scale of the gains kp [N m/rad] and kd [N m s/rad].
     """
     kp, kd = gains
     position = _signal_over_range(
@@ -192,14 +199,14 @@ def impedance_message(
 
 
 def position_message(can_id: int, ranges: Ranges, speed: float, sign: int, zero: float, flags: int) -> Message:
-    """Return the command of position-velocity mode, with a constant speed limit.
+    """Return the signal table of the command in position-velocity mode, which has a constant speed limit.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
-        ranges: full scale of the motor. PMAX is the largest position.
+        ranges: full scale of the motor. PMAX is the largest position command.
         speed: speed limit [rad/s].
-        sign: sign of the position, 1 if a positive position winds.
-        zero: motor angle of the spool's zero [rad].
+        sign: 1 if a positive position of the motor winds the tendon, else -1.
+        zero: motor angle at spool angle zero [rad].
         flags: flags of the frame.
     """
     signals = (
@@ -211,12 +218,12 @@ def position_message(can_id: int, ranges: Ranges, speed: float, sign: int, zero:
 
 
 def velocity_message(can_id: int, limit: float, sign: int, flags: int) -> Message:
-    """Return the command of velocity mode.
+    """Return the signal table of the command in velocity mode.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
-        limit: largest speed [rad/s].
-        sign: sign of the velocity, 1 if a positive velocity winds.
+        limit: largest speed in a command [rad/s].
+        sign: 1 if a positive velocity of the motor winds the tendon, else -1.
         flags: flags of the frame.
     """
     signal = _float_signal("velocity", Quantity.VELOCITY, 0, "rad/s", sign)
@@ -226,18 +233,19 @@ def velocity_message(can_id: int, limit: float, sign: int, flags: int) -> Messag
 def force_position_message(
     can_id: int, ranges: Ranges, limits: tuple[float, float], sign: int, zero: float, flags: int
 ) -> Message:
-    """Return the command of force-position mode, with constant limits.
+    """Return the signal table of the command in force-position mode, which has constant limits.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
-        ranges: full scale of the motor. PMAX is the largest position.
-        limits: speed limit [rad/s], and current limit as a fraction of the largest current.
-        sign: sign of the position, 1 if a positive position winds.
-        zero: motor angle of the spool's zero [rad].
+        ranges: full scale of the motor. PMAX is the largest position command.
+        limits: speed limit [rad/s], and current limit as a fraction of the largest current of the
+            motor.
+        sign: 1 if a positive position of the motor winds the tendon, else -1.
+        zero: motor angle at spool angle zero [rad].
         flags: flags of the frame.
 
     Raises:
-        ValueError: a limit has no code.
+        ValueError: a limit is too small or too large for the command.
     """
     speed, fraction = limits
     codes = math.floor(speed * SPEED_CODES), math.floor(fraction * FULL_SCALE_COUNT)
@@ -255,24 +263,25 @@ def force_position_message(
 def _float_signal(
     name: str, quantity: Quantity, first: int, unit: str, scale: float = 1.0, offset: float = 0.0
 ) -> Signal:
-    """Return a float32 signal that begins at a byte."""
+    """Return the description of a float32 signal that begins at byte ``first``."""
     return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
 
 
 def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0.0) -> Message:
-    """Return the signal table of the feedback.
+    """Return the signal table of the feedback frame.
 
     Args:
         can_id: identifier of the feedback, MST_ID.
         ranges: full scale of the motor.
-        sign: sign of position, velocity, and torque, 1 if positive torque winds.
-        zero: motor angle of the spool's zero [rad].
+        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+            have the same sign.
+        zero: motor angle at spool angle zero [rad].
     """
     position = _signal_over_range("position", Quantity.POSITION, 15, 16, ranges.position, "rad", sign)
     return Message("feedback", can_id, 8, (
-        # State and node nibbles form one status byte, so that one comparison checks both.
+        # The nibbles of state and node form one status byte, so that one comparison checks both.
         Signal("state", Quantity.STATUS, 7, 8, True),
-        # Spool angle = sign * (motor angle - zero).
+        # The spool angle is sign * (motor angle - zero).
         position._replace(offset=position.offset - sign * zero),
         _signal_over_range("velocity", Quantity.VELOCITY, 31, 12, ranges.velocity, "rad/s", sign),
         _signal_over_range("torque", Quantity.TORQUE, 35, 12, ranges.torque, "N m", sign),
@@ -284,18 +293,19 @@ def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0
 def _signal_over_range(
     name: str, quantity: Quantity, start: int, length: int, largest: float, unit: str, sign: int = 1
 ) -> Signal:
-    """Return a signal whose range of codes covers the values from -largest to largest."""
-    # The top code is +largest, hence 2^n - 1 steps. A negative sign reverses scale and offset.
+    """Return the description of a signal whose codes cover the values from -largest to largest."""
+    # The highest code is +largest, so there are 2^n - 1 steps. A negative sign reverses scale and
+    # offset.
     scale = sign * 2 * largest / ((1 << length) - 1)
     return Signal(name, quantity, start, length, True, Coding.UNSIGNED, scale, -sign * largest, unit)
 
 
 def decode_feedback(data: bytes, table: Table) -> Feedback:
-    """Decode 8 bytes of feedback.
+    """Decode the 8 bytes of a feedback frame.
 
     Args:
-        data: payload.
-        table: signal table of the feedback.
+        data: payload of the frame.
+        table: signal table of the feedback frame.
     """
     state, position, velocity, torque, mosfet, winding = table.unpack(data)
     return int(state) >> 4, position, velocity, torque, max(mosfet, winding)
@@ -307,26 +317,29 @@ def special_command(code: int) -> bytes:
 
 
 def register_request(node_id: int, operation: int, register: int = 0, value: float = 0.0) -> bytes:
-    """Return the payload of a register request. Register requests use the identifier BROADCAST_ID.
+    """Return the payload of a register request. Its identifier is BROADCAST_ID.
 
     Args:
-        node_id: ESC_ID.
+        node_id: node number of the motor, ESC_ID.
         operation: READ, WRITE or REFRESH.
         register: number of the register.
-        value: value for WRITE, ignored by the other operations.
+        value: value to write. Other operations than WRITE ignore it.
     """
     raw = register_bytes(register, value) if operation == WRITE else bytes(4)
     return struct.pack("<HBB", node_id, operation, register) + raw
 
 
 def register_bytes(register: int, value: float) -> bytes:
-    """Return a register value as four bytes. For an integer register the fraction is cut off."""
+    """Return the value of a register as four bytes.
+
+    For an integer register, the fraction is cut off.
+    """
     layout = _FORMATS.get(register, _FLOAT)
     return layout.pack(int(value)) if layout is _INTEGER else layout.pack(value)
 
 
 class RegisterReply(NamedTuple):
-    """Register reply: operation, register, and the four bytes of the value."""
+    """Reply to a register request: operation, register number, and the four bytes of the value."""
 
     operation: int
     register: int
@@ -334,14 +347,15 @@ class RegisterReply(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Return the value decoded with the type of the register."""
+        """Return the value, decoded from the four bytes with the type of the register."""
         return float(_FORMATS.get(self.register, _FLOAT).unpack(self.raw)[0])
 
 
 def decode_register_reply(data: bytes, node_id: int) -> RegisterReply | None:
-    """Decode 8 bytes as a register reply of the motor, or return None if they are feedback."""
-    # Fast path: in nearly every feedback the state nibble makes byte 0 differ from the node number.
-    if data[0] != node_id & 0xFF:  # nearly every feedback ends here: its first byte has the state above the identifier
+    """Decode 8 bytes from a motor as a register reply, or return None if they are feedback."""
+    # In nearly every feedback frame the state nibble makes byte 0 differ from the node number. This
+    # test is fast.
+    if data[0] != node_id & 0xFF:  # byte 0 of feedback has the state nibble above the node number
         return None
     sender, operation, register = _REPLY.unpack_from(data)
     if sender != node_id or operation not in (READ, WRITE, SAVE):

@@ -1,18 +1,18 @@
-"""CubeMars AK motor in MIT mode: it has Damiao's command frame, and feedback with less content.
+"""CubeMars AK motor in MIT mode. Its command frame is that of Damiao motors. Its feedback contains less data.
 
-Command and special commands: identifier and layout as in ``codec``. Feedback, on the identifier of
-the command, 8 bytes (6 on older firmware, without bytes 6 and 7), big-endian:
+Command and special commands have the identifier and the layout of ``codec``. Feedback has the
+identifier of the command and 8 bytes, big-endian. Older firmware omits bytes 6 and 7:
 
     byte    0        1, 2          3, 4 high     4 low, 5     6                   7
     field   node 8   position 16   velocity 12   torque 12    temperature 8       error 8
     range            +-12.5 rad    see MODELS    see MODELS   1 degC from -40     see ERRORS
 
-The motor has no registers and no watchdog, and its feedback does not report enabled or disabled. A
-motor counts as enabled after several answers to the enable command. A motor counts as disabled
-after several answers to the disable command without torque. The disable command also serves to
-request feedback, because every other request may make torque. ``unverified_protections`` lists the
-protections that cannot be verified. Source: CubeMars AK Series Actuator Driver Manual V1.0.8,
-section 5.3.
+The motor has no registers and no watchdog. Its feedback does not report whether the motor is
+enabled. The motor therefore counts as enabled after several answers to the enable command. It
+counts as disabled after several answers to the disable command that report no torque. The host also
+uses the disable command to request feedback, because every other command may make torque.
+``unverified_protections`` lists the protections that handctl cannot verify. Source: CubeMars AK
+Series Actuator Driver Manual V1.0.8, section 5.3.
 """
 
 import math
@@ -37,9 +37,9 @@ MODELS = {
     "ak80-9": codec.Ranges(12.5, 50.0, 18.0),
     "ak10-9": codec.Ranges(12.5, 50.0, 65.0),
 }
-"""Full scale of the models: position [rad], velocity [rad/s], torque [N m].
+"""Full scale of each motor model: position [rad], velocity [rad/s], torque [N m].
 
-Source: CubeMars AK Series Actuator Driver Manual V1.0.8, 5.3.
+Source: CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
 """
 ERRORS = {
     1: "over-temperature",
@@ -49,29 +49,32 @@ ERRORS = {
     5: "encoder error",
     6: "phase current imbalance",
 }
-"""Error text by byte 7 of the feedback. The byte is 0 without an error."""
+"""Text of each error, by byte 7 of the feedback. This byte is 0 if there is no error."""
 CAUSES = {1: Cause.HOT, 3: Cause.VOLTAGE, 4: Cause.VOLTAGE} | dict.fromkeys((2, 5, 6), Cause.OTHER)
-"""Cause of each value of the error byte."""
+"""Cause of each error, by byte 7 of the feedback."""
 FEEDBACK_SIZES = (6, 8)
-"""Payload lengths of the feedback [bytes]. Older firmware sends six, without temperature and error."""
+"""Possible payload lengths of feedback [bytes].
+
+Older firmware sends 6 bytes, without temperature and error.
+"""
 ANSWERS_REQUIRED = 3
-"""Number of answers after which a command counts as obeyed.
+"""Number of answers after which an enable or disable command counts as obeyed.
 
 The first answer may have been sent before the command.
 """
 ZERO_COUNT_TEMPERATURE_C = -40.0
-"""Temperature of count 0 in byte 6 [degC].
+"""Temperature at count 0 in byte 6 of the feedback [degC].
 
-Source: CubeMars AK Series Actuator Driver Manual, 5.3, example of a reply. Clients that read the
-count as degC (TMotorCANControl) report 40 degC too much.
+Source: CubeMars AK Series Actuator Driver Manual, section 5.3, example of a reply. Programs that
+take the count as degC (TMotorCANControl) report 40 degC too much.
 """
 MAX_RESTING_TORQUE_FRACTION = 0.02
-"""Torque below which a motor counts as free of torque, as a fraction of full scale.
+"""Largest reported torque at which a motor counts as making none, as a fraction of full scale.
 
-Sensor noise at rest is lower.
+The sensor noise of a motor at rest is lower.
 """
 SILENCE_NS = 250_000_000
-"""Time without a frame after which the motor is in phase SILENT [ns]."""
+"""Time without a frame after which a disabled motor returns to phase SILENT [ns]."""
 UNVERIFIED_PROTECTIONS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
     "has no torque limit below its model's full scale; torque_max_N_m is this host's alone",
@@ -81,17 +84,17 @@ UNVERIFIED_PROTECTIONS = (
     "ranges cannot be read back; motor_type must be right",
     "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",
 )
-"""Protections of the motor that handctl cannot verify, one line each."""
+"""Protections of a CubeMars motor that handctl cannot verify, one line each."""
 
 
 class CubemarsProgress(NamedTuple):
     """State of the CubeMars state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        command_sent: latest special command, ENABLE or DISABLE.
+        command_sent: latest special command to the motor, ENABLE or DISABLE.
         since_ns: time at which this command was first sent [ns].
-        answers: number of answers in a row that agree with the command.
-        enable_sent: True from the enable command until the motor is disabled without torque.
+        answers: number of consecutive answers that agree with this command.
+        enable_sent: True from the enable command until the motor counts as disabled.
     """
 
     command_sent: DriveTarget = DISABLE
@@ -101,26 +104,26 @@ class CubemarsProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> CubemarsProgress:
-    """Return the CubeMars part of a drive state."""
+    """Return the CubeMars progress in a drive state."""
     progress: CubemarsProgress = state.private
     return progress
 
 
 @dataclass(frozen=True, slots=True)
 class CubemarsDrive:
-    """CubeMars motor. Implements ``contract.Drive``.
+    """CubeMars motor, with the interface ``contract.Drive``.
 
     Attributes:
-        name: name of the motor.
-        bus: index of the bus.
+        name: name of the motor in the hand file.
+        bus: index of the bus of the motor.
         node_id: node number, and identifier of commands and feedback.
-        ranges: full scale of the model.
-        torque_limit: largest torque command [N m].
-        direction: 1 if positive torque of the motor winds, else -1.
-        zero: motor angle of the spool's zero [rad].
-        temperature_offset: temperature of count 0 in byte 6 of the feedback [degC].
-        command: signal table of the command, from the fields above.
-        feedback: signal table of the feedback, from the fields above.
+        ranges: full scale of the motor model.
+        torque_limit: largest torque command [N m at the spool].
+        direction: 1 if positive torque of the motor winds the tendon, else -1.
+        zero: motor angle at spool angle zero [rad].
+        temperature_offset: temperature at count 0 in byte 6 of the feedback [degC].
+        command: signal table of the torque command, built from the fields above.
+        feedback: signal table of the feedback, built from the fields above.
     """
 
     name: str
@@ -140,7 +143,7 @@ class CubemarsDrive:
         feedback = codec.feedback_message(self.node_id, self.ranges, self.direction, self.zero)
         state, position, velocity, torque, _, _ = feedback.signals
         signals = (
-            # Here byte 0 is the whole node number, and has no state nibble.
+            # Byte 0 of a CubeMars motor is the whole node number, without a state nibble.
             state._replace(name="node"),
             position,
             velocity,
@@ -153,12 +156,14 @@ class CubemarsDrive:
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "CubemarsDrive":
-        """Return the drive of a motor description.
+        """Return the drive for a motor description.
 
-        Ranges of position and velocity are those of the model, not of the description.
+        The full scales of position and velocity come from the motor model, not from the
+        description.
 
         Raises:
-            ConfigError: an unknown model, or more torque than the model's full scale.
+            ConfigError: the motor model or an option is unknown, or the torque limit exceeds the
+                full scale of the model.
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
@@ -183,7 +188,7 @@ class CubemarsDrive:
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return an empty tuple, because the motor sends answers only."""
+        """Return an empty tuple, because the motor sends only answers to commands."""
         return ()
 
     @property
@@ -193,15 +198,15 @@ class CubemarsDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the command identifier.
+        """Return the identifier of commands.
 
-        Feedback has the same identifier, hence a second host cannot be detected.
+        Feedback has the same identifier, so commands of another host cannot be detected.
         """
         return frozenset((self.node_id,))
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the feedback identifier."""
+        """Return the identifier of feedback, which is that of commands."""
         return frozenset((self.node_id,))
 
     @property
@@ -211,42 +216,45 @@ class CubemarsDrive:
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True, because the motor sends one answer per request."""
+        """Return True, because the motor sends a single answer per command."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return the position step of one count: 16 bits cover twice the model's range [rad]."""
+        """Return the change of the position per count [rad].
+
+        The 16 bits cover twice the full scale of the model.
+        """
         return self.ranges.position_step
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because every command requests feedback."""
+        """Return 0, because the motor sends feedback only as the answer to a command."""
         return 0.0
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return the signal tables of command and answer."""
+        """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(self.node_id, self.ranges, self.direction, self.zero)
         position = position._replace(limit=self.torque_limit)
         return Cyclic((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the feedback status of an enabled motor: node number and error 0, joined as in ``signals``."""
+        """Return the status in feedback of an enabled motor: the bytes of node number and error 0, joined."""
         progress: CubemarsProgress = state.private
         enabled = state.phase == ENABLED and progress.command_sent == ENABLE and progress.answers >= ANSWERS_REQUIRED
         return (self.node_id & 0xFF) << 8 if enabled else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
-        """Return NEVER_NS, because the motor has no settings to read back."""
+        """Return END_OF_TIME_NS, because the motor has no settings to read back."""
         return END_OF_TIME_NS
 
     def initial(self) -> DriveState:
-        """Return the state before the first frame."""
+        """Return the state of the motor before the first frame."""
         return DriveState(private=CubemarsProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after one received frame, see ``contract.Drive``."""
+        """Return the state after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.node_id or bus != self.bus:
             return state
@@ -273,13 +281,13 @@ class CubemarsDrive:
         return updated if disabling else updated._replace(phase=FAULT)
 
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
-        """Return the state after an answer to the present command."""
-        # An answer that was sent before the command does not show its effect.
+        """Return the state after an answer to the latest enable or disable command."""
+        # An answer that the motor sent before this command does not show the effect of the command.
         if state.feedback_t_ns < progress.since_ns:
             return state
         if progress.command_sent == ENABLE:
             if progress.answers >= ANSWERS_REQUIRED:
-                return state  # there are enough answers, and further answers have no effect
+                return state  # the command counts as obeyed, and further answers change nothing
             done = state.phase != FAULT and progress.answers + 1 >= ANSWERS_REQUIRED
             return state._replace(
                 phase=ENABLED if done else state.phase, private=progress._replace(answers=progress.answers + 1)
@@ -311,7 +319,10 @@ class CubemarsDrive:
         return self._after_command(state._replace(phase=phase), DISABLE, t_ns), self.cut()
 
     def _after_command(self, state: DriveState, command_sent: DriveTarget, t_ns: int) -> DriveState:
-        """Return the state after a special command was sent. A new command has no answers yet."""
+        """Return the state after an enable or disable command was sent.
+
+        A new command has no answers yet.
+        """
         progress: CubemarsProgress = state.private
         if progress.command_sent == command_sent and progress.since_ns >= 0:
             return state
@@ -319,13 +330,13 @@ class CubemarsDrive:
         return state._replace(private=CubemarsProgress(command_sent, t_ns, 0, enable_sent))
 
     def _torque_payload(self, torque: float) -> bytes:
-        """Return the payload of a command that contains a torque only.
+        """Return the payload of a torque command.
 
         Args:
-            torque: command [N m at the spool].
+            torque: torque to command [N m at the spool].
 
         Raises:
-            ValueError: torque is not finite, or beyond the limit.
+            ValueError: the torque is not finite, or exceeds the torque limit.
         """
         try:
             return self.command.pack(torque)
@@ -344,9 +355,10 @@ class CubemarsDrive:
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state without the error.
+        """Return the state without the error, and the frame of the disable command.
 
-        No frame clears an error. A motor whose error remains reports it again.
+        The protocol has no frame that clears an error. If the error remains, the motor reports it
+        again.
         """
         progress: CubemarsProgress = state.private
         fresh = state._replace(
@@ -355,7 +367,7 @@ class CubemarsDrive:
         return fresh, self.cut()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame, because the motor has no watchdog."""
+        """Return no frames, because the motor has no watchdog."""
         return ()
 
     def identity(self, state: DriveState) -> str:
@@ -367,5 +379,5 @@ class CubemarsDrive:
         return CAUSES.get(error, Cause.UNKNOWN)
 
     def _frame_to_motor(self, data: bytes) -> Frame:
-        """Return a frame to the motor with this payload."""
+        """Return a frame to the motor with the given payload."""
         return Frame(self.node_id, data, 0, self.bus)

@@ -1,8 +1,9 @@
-"""Discovery of Damiao motors: read register MST_ID from each node number, then the other registers.
+"""Discovery of Damiao motors. It reads register MST_ID from every node number, then the other registers of each motor.
 
-Register traffic makes no torque. Replies use the identifiers of the feedback, hence no request is
-sent while another host drives motors (``other_host_frames``). CubeMars motors have no registers,
-and cannot be discovered without a command. Source: Damiao DM-J4310-2EC manual, register table.
+Reading registers makes no torque. Replies have the identifiers of feedback. A scan therefore sends
+no request while another host controls the motors (``other_host_frames``). CubeMars motors have no
+registers, and cannot be discovered without a command. Source: Damiao DM-J4310-2EC manual, register
+table.
 """
 
 import struct
@@ -18,8 +19,9 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 
 MOTOR_NUMBERS = range(1, 0x80)
-"""Node numbers to try."""
-# Registers: identifier of the replies, hardware and software version, serial number, bit rate.
+"""Node numbers for a scan to try."""
+# Register numbers: identifier of the replies, hardware version, software version, serial number,
+# bit rate.
 MST_ID = 7
 HARDWARE_VERSION = 13
 SOFTWARE_VERSION = 14
@@ -28,17 +30,17 @@ CAN_BR = 35
 _INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE_VERSION, SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR}
 _DETAILS = (SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
 FIRST_FD_BIT_RATE = 5
-"""Value of register CAN_BR from which the bus is CAN FD."""
+"""Smallest value of register CAN_BR, the bit rate, at which the motor uses CAN FD."""
 _RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VMAX), ("torque_max_N_m", codec.TMAX))
-"""Register of each key in a ``[[motor]]`` section."""
+"""Keys of a ``[[motor]]`` section whose values are in registers, with these registers."""
 _STATES = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round.
+    """Return the requests of a round of the scan.
 
-    Round 2 reads register MST_ID of every node number. Round 3 reads the registers and the state of
-    discovered motors.
+    Round 2 reads register MST_ID of every node number. Round 3 reads the other registers and the
+    state of the discovered motors.
     """
     if turn == 2:
         return tuple(_read_request(number, MST_ID) for number in MOTOR_NUMBERS)
@@ -52,7 +54,7 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def motors_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the motors that reported their MST_ID in a frame with this identifier."""
+    """Return the motors that have reported their MST_ID, if a frame with this identifier was received."""
     replies: dict[int, dict[int, list[bytes]]] = {}
     for frame in received:
         if (
@@ -71,12 +73,12 @@ def motors_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 def _describe_motor(
     number: int, reply_ids: dict[int, int], answers: dict[int, list[bytes]], received: ReceivedFrames
 ) -> DiscoveredNode:
-    """Return the discovered motor with its data from the register values."""
+    """Return a discovered motor, with the data in its registers."""
     reply_id = reply_ids[number]
     raw = {register: payloads[-1] for register, payloads in answers.items()}
     values = {register: _decode_integer(data) for register, data in raw.items() if register in _INTEGERS}
     settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGES if register in raw}
-    # Without reply_id the hand file assumes MST_ID = ESC_ID + 0x10.
+    # A hand file without the option reply_id means MST_ID = ESC_ID + 0x10.
     options: dict[str, bool | int | float | str] = {} if reply_id == number + 0x10 else {"reply_id": reply_id}
     if values.get(CAN_BR, 0) >= FIRST_FD_BIT_RATE:
         options["fd"] = True
@@ -95,7 +97,10 @@ def _describe_motor(
 
 
 def _state_and_error(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
-    """Return the texts of state and error from the latest feedback, both empty without feedback."""
+    """Return the state and the error in the latest feedback of a motor, as texts.
+
+    Both are empty without feedback.
+    """
     for frame in reversed(received):
         matches = frame.can_id == reply_id and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
         if matches and codec.decode_register_reply(frame.data, number) is None:
@@ -106,13 +111,14 @@ def _state_and_error(number: int, reply_id: int, received: ReceivedFrames) -> tu
 
 
 def command_ids(motor: DiscoveredNode) -> frozenset[int]:
-    """Return the command identifiers of the motor in all its control modes."""
-    # MIT, position-velocity, velocity, and force-position mode.
+    """Return the identifiers of commands to the motor, in all its control modes."""
+    # The offsets belong to MIT mode, position-velocity mode, velocity mode, and force-position
+    # mode.
     return frozenset(mode + motor.node_id for mode in (0x000, 0x100, 0x200, 0x300))
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the received frames sent only by hosts: register requests, MIT commands, special commands."""
+    """Return the received frames that only a host sends: register requests, MIT commands, special commands."""
     return tuple(
         frame
         for frame in received
@@ -123,7 +129,7 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def _read_request(number: int, register: int) -> Frame:
-    """Return the frame that reads a register."""
+    """Return the frame to read a register of a motor."""
     return Frame(codec.BROADCAST_ID, codec.register_request(number, codec.READ, register))
 
 
@@ -133,12 +139,12 @@ def _decode_integer(raw: bytes) -> int:
 
 
 def ping(motor: DiscoveredNode) -> Frame:
-    """Return the frame that reads register MST_ID."""
+    """Return the frame to read register MST_ID of the motor."""
     return _read_request(motor.node_id, MST_ID)
 
 
 def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame is a reply with register MST_ID."""
+    """Return True if the frame is a reply of the motor with register MST_ID."""
     answer = frame.can_id != codec.BROADCAST_ID and len(frame.data) == 8
     return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
 

@@ -1,9 +1,9 @@
-"""Damiao motor in MIT mode: from silence through its registers to torque, and back to disabled.
+"""State machine to configure, enable, and disable a Damiao motor in MIT mode.
 
-A motor answers requests and sends no other frame. Therefore one request is sent in each tick, and
-one register request is open at a time. Position, velocity, and torque are NaN until the ranges of
-the motor are known. Angles beyond PMAX are not unwrapped, because the travel of a hand is far
-smaller. Only feedback with state 0 or with an error proves that the motor is disabled.
+A motor sends only answers. The host therefore sends a request in each tick, and waits for only one
+register reply at a time. Position, velocity, and torque are NaN until the full scale of the motor
+is known. Angles beyond PMAX are not unwrapped, because the travel of a hand is far smaller. Only
+feedback with state 0 or with an error proves that the motor is disabled.
 """
 
 import math
@@ -36,28 +36,28 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-"""Phases as module-level names for speed.
+"""Phases of a drive as names of the module, for speed.
 
-Reading an attribute of the enumeration is slower than a comparison.
+Looking a phase up in the enumeration takes longer than comparing two phases.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class MitDrive:
-    """Damiao motor. Implements ``contract.Drive``.
+    """Damiao motor in MIT mode, with the interface ``contract.Drive``.
 
     Attributes:
-        name: name of the motor.
-        bus: index of the bus.
-        node_id: ESC_ID, identifier of commands.
-        reply_id: MST_ID, identifier of answers.
-        ranges: PMAX, VMAX, TMAX. TMAX is also the drive's own torque limit.
-        direction: 1 if positive torque of the motor winds, else -1.
-        zero: motor angle of the spool's zero [rad].
-        timeout: time of the watchdog [50 us].
+        name: name of the motor in the hand file.
+        bus: index of the bus of the motor.
+        node_id: node number ESC_ID, the identifier of commands.
+        reply_id: MST_ID, the identifier of answers.
+        ranges: full scale PMAX, VMAX, TMAX. TMAX is also the torque limit in the drive.
+        direction: 1 if positive torque of the motor winds the tendon, else -1.
+        zero: motor angle at spool angle zero [rad].
+        timeout: timeout of the motor's watchdog [50 us].
         flags: flags of frames to the motor, 0 for classical CAN.
-        command: signal table of the command, from the fields above.
-        feedback: signal table of the feedback, from the fields above.
+        command: signal table of the command, built from the fields above.
+        feedback: signal table of the feedback, built from the fields above.
     """
 
     name: str
@@ -81,15 +81,15 @@ class MitDrive:
 
     @staticmethod
     def of(motor: MotorDescription, bus: int, given: Mapping[str, Any] | None = None) -> "MitDrive":
-        """Return the drive of a motor description.
+        """Return the drive for a motor description.
 
         Args:
             motor: description of the motor.
-            bus: index of the bus.
-            given: options instead of those of the description.
+            bus: index of the bus of the motor.
+            given: options to use instead of the options in the description.
 
         Raises:
-            ConfigError: an option unknown to MIT mode.
+            ConfigError: an option is unknown, or has a wrong value.
         """
         options = dict(motor.options if given is None else given)
         where = f"motor[{motor.name}].options"
@@ -112,7 +112,7 @@ class MitDrive:
 
     @property
     def torque_limit(self) -> float:
-        """Return TMAX [N m]."""
+        """Return TMAX, the largest torque command [N m]."""
         return self.ranges.torque
 
     @property
@@ -122,7 +122,7 @@ class MitDrive:
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the register requests of the repeated read-back, and their answers."""
+        """Return the frames of the repeated read-back of the enabled motor: requests and replies."""
         return ((8, bool(self.flags), readback.RECHECKS_PER_SECOND),) * 2
 
     @property
@@ -132,7 +132,7 @@ class MitDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the command identifiers in all control modes, and the identifier of register frames."""
+        """Return the identifiers of commands in all control modes, and the identifier of register requests."""
         return frozenset(mode + self.node_id for mode in (0x000, 0x100, 0x200, 0x300)) | {codec.BROADCAST_ID}
 
     @property
@@ -147,48 +147,48 @@ class MitDrive:
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True, because a motor sends one answer per request."""
+        """Return True, because the motor sends a single answer per request."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return the position step of one count: 16 bits cover twice PMAX [rad]."""
+        """Return the change of the position per count [rad]. The 16 bits cover twice PMAX."""
         return self.ranges.position_step
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because every command requests feedback."""
+        """Return 0, because the motor sends feedback only as the answer to a request."""
         return 0.0
 
     @property
     def required(self) -> tuple[tuple[int, float], ...]:
-        """Return the registers to verify before arming, as (register, value) pairs."""
+        """Return the registers verified before arming, as pairs (register, required value)."""
         ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
         return (*self._mode_registers, *ranges, (codec.TIMEOUT, self.timeout))
 
     @property
     def _mode_registers(self) -> tuple[tuple[int, float], ...]:
-        """Return the (register, value) pairs of the mode."""
+        """Return the registers for the control mode, as pairs (register, required value)."""
         return ((codec.CTRL_MODE, codec.MIT_MODE),)
 
     @property
     def guards(self) -> tuple[tuple[int, float], ...]:
-        """Return the registers of the drive's own protections, as (register, value) pairs.
+        """Return the registers of the protections in the motor, as pairs (register, required value).
 
-        They are read back again while the motor is enabled.
+        They are read again while the motor is enabled.
         """
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return the signal tables of command and answer."""
+        """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(
             self.node_id, self.ranges, self.direction, self.zero, self.flags
         )
         return Cyclic((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the first byte of feedback from an enabled motor without error: state and node number."""
+        """Return byte 0 of feedback from an enabled motor without an error: state and node number."""
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
             return UNSTEADY
@@ -199,11 +199,11 @@ class MitDrive:
         return progress_of(state).check.due_ns
 
     def initial(self) -> DriveState:
-        """Return the state before the first frame."""
+        """Return the state of the motor before the first frame."""
         return DriveState(private=MitProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after one received frame, see ``contract.Drive``."""
+        """Return the state after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.reply_id or bus != self.bus:
             return state
@@ -214,13 +214,14 @@ class MitDrive:
             reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None and reply[:2] == (codec.READ, self.guards[progress.check.step][0]):
                 return self._on_guard(state, progress, reply)
-        # While enabled, byte 0 of feedback is 0x10 | node nibble. A node number from 0x10 to 0x1f
-        # makes byte 0 of a register reply look alike: the frame then counts as feedback.
+        # Byte 0 of feedback from an enabled motor is 0x10 | node nibble. If the node number is from
+        # 0x10 to 0x1f, byte 0 of a register reply is the same. The frame then counts as feedback.
         if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
             reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None:
                 return self._on_register(state, reply, t_ns)
-        # The low nibble of byte 0 is the node number: another value is a frame of another motor.
+        # The low nibble of byte 0 is the node number. With another value, the frame is from another
+        # motor.
         if (data[0] ^ self.node_id) & 0xF:
             return state._replace(misread=state.misread + 1)
         return self._on_feedback(state, data, t_ns)
@@ -239,7 +240,7 @@ class MitDrive:
         return state._replace(private=progress._replace(cursor=cursor))
 
     def _on_guard(self, state: DriveState, progress: MitProgress, reply: codec.RegisterReply) -> DriveState:
-        """Compare the value of a register, read again while the motor is enabled, with the required value."""
+        """Compare a register, read again from the enabled motor, with the required value."""
         register, value = self.guards[progress.check.step]
         same = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
@@ -250,7 +251,7 @@ class MitDrive:
         return to_fault(updated, MISMATCH, problem) if problem else updated
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Update the state with the values and the state nibble of a feedback frame."""
+        """Return the state after a feedback frame, with the values and the effect of the state nibble."""
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
         if not progress_of(state).configured:
             position = velocity = torque = math.nan
@@ -271,7 +272,7 @@ class MitDrive:
         progress: MitProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             command = self._command(torque)
-            # The usual path of a running hand: one command, no other state change.
+            # In a running hand this is the usual case: one command, and no change of the state.
             if t_ns < progress.check.due_ns:
                 return state, (command,)
             state, question = self._ask_guard(state, progress, t_ns)
@@ -289,7 +290,7 @@ class MitDrive:
             and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
         ):
             return state._replace(phase=SILENT, private=MitProgress()), (self._refresh(),)
-        # Commands restart the watchdog of this motor, also while it is disabled.
+        # This motor has a watchdog that runs even while it is disabled. Commands restart it.
         fed = state.error_text == FIRES_WHILE_DISABLED_TEXT
         clear = (self._frame(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
@@ -301,20 +302,20 @@ class MitDrive:
             return enabling, (self._frame(codec.special_command(codec.ENABLE)),)
         if fed and not clear:
             return state._replace(private=progress), self.cut()
-        # It is not documented if the clear command has an answer, so feedback is requested as well.
+        # The manual does not say if the clear command has an answer, so feedback is requested too.
         return state._replace(private=progress), (*clear, self._refresh())
 
     def _disable(self, state: DriveState, progress: MitProgress, t_ns: int) -> DriveState:
-        """Return the state while the motor is being disabled.
+        """Return the state of a motor that is being disabled.
 
-        A motor that may be enabled counts as enabled until it reports state 0.
+        A motor that may be enabled counts as enabled until feedback has state 0.
         """
         phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
 
     def _ask_guard(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, Frame]:
-        """Return the state and the request that reads a protection register of the enabled motor."""
+        """Return the next state and the request to read a protection register of the enabled motor."""
         register, _ = self.guards[progress.check.step]
         check, problem = readback.next_recheck(progress.check, registers.register_name(register), self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
@@ -323,7 +324,10 @@ class MitDrive:
         return state, self._broadcast(codec.register_request(self.node_id, codec.READ, register))
 
     def _configure(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the next register request. An enabled motor is disabled first."""
+        """Return the next state and the next register request.
+
+        An enabled motor is disabled first.
+        """
         if progress.enabled_by_other:
             updated = state._replace(error_text="enabled, and does not disable", private=progress)
             return updated, self.cut()
@@ -341,13 +345,13 @@ class MitDrive:
         return updated, (self._broadcast(data),) if data else ()
 
     def _torque(self, torque: float) -> bytes:
-        """Return the payload of a command that contains a torque only.
+        """Return the payload of a command.
 
         Args:
-            torque: command [N m at the spool].
+            torque: torque to command [N m at the spool].
 
         Raises:
-            ValueError: torque is not finite, or beyond TMAX.
+            ValueError: the torque is not finite, or exceeds TMAX.
         """
         try:
             return self.command.pack(torque)
@@ -355,11 +359,14 @@ class MitDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return the frame of a torque command [N m at the spool]. It does not enable the motor."""
+        """Return the frame of a torque command [N m at the spool].
+
+        The frame does not enable the motor.
+        """
         return (self._command(torque),)
 
     def _command(self, torque: float) -> Frame:
-        """Return the torque command [N m at the spool]."""
+        """Return the frame of a command [N m at the spool]."""
         return self._frame(self._torque(torque))
 
     def cut(self) -> tuple[Frame, ...]:
@@ -367,12 +374,15 @@ class MitDrive:
         return (self._frame(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state that clears the latched error and repeats the register read-back."""
+        """Return the state and the frame that clear the latched error.
+
+        The registers are then verified again.
+        """
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=MitProgress(clearing=CLEAR_TRIES))
         return fresh, (self._frame(codec.special_command(codec.CLEAR)),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame. A disabled motor has no active watchdog, so its release needs no frame."""
+        """Return no frames, because the watchdog of a disabled motor is not active."""
         return ()
 
     def identity(self, state: DriveState) -> str:
@@ -384,22 +394,22 @@ class MitDrive:
         return CAUSES.get(error, Cause.UNKNOWN)
 
     def _frame(self, data: bytes) -> Frame:
-        """Return a frame to the motor with this payload."""
+        """Return a frame to the motor with the given payload."""
         return Frame(self.node_id, data, self.flags, self.bus)
 
     def _broadcast(self, data: bytes) -> Frame:
-        """Return a register frame with this payload."""
+        """Return the frame of a register request with the given payload."""
         return Frame(codec.BROADCAST_ID, data, self.flags, self.bus)
 
     def _refresh(self) -> Frame:
-        """Return the frame that requests feedback."""
+        """Return the frame to request feedback from the motor."""
         return self._broadcast(codec.register_request(self.node_id, codec.REFRESH))
 
 
 def _ready_state(state: DriveState, progress: MitProgress, t_ns: int, serial: int) -> DriveState:
-    """Return the state in phase READY, after all registers were verified.
+    """Return the state in phase READY of a motor whose registers have all been verified.
 
-    Serial number 0 means unknown.
+    With serial number 0, the serial number is unknown.
     """
     ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns, serial=serial)
     return state._replace(phase=READY, private=ready)

@@ -1,11 +1,11 @@
 """Damiao motor in position-velocity, velocity or force-position mode.
 
-Register CTRL_MODE selects the mode. Ramps (ACC, DEC) and largest speed (MAX_SPD) are written and
-read back before arming, MAX_SPD again while enabled. The motor keeps these values until it loses
-power. Source: Damiao DM-J4310-2EC manual.
+Register CTRL_MODE selects the mode. The registers of the ramps (ACC, DEC) and of the largest speed
+(MAX_SPD) are written and read back before arming. MAX_SPD is read again while the motor is enabled.
+The motor keeps these values until it loses power. Source: Damiao DM-J4310-2EC manual.
 
-TMAX is required as in MIT mode. The manual does not state if TMAX limits the torque in the other
-modes. In force-position mode each command has a current limit.
+Register TMAX must have its required value, as in MIT mode. The manual does not state if TMAX limits
+the torque in the other modes. In force-position mode each command contains a current limit.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ _REGISTER = {
     DriveMode.VELOCITY: codec.VELOCITY_MODE,
     DriveMode.FORCE_POSITION: codec.FORCE_MODE,
 }
-"""Value of CTRL_MODE for each mode."""
+"""Value of register CTRL_MODE for each mode."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,8 +33,9 @@ class MitModeDrive(MitDrive):
 
     Attributes:
         mode: quantity that the motor controls.
-        limits: largest speed and acceleration.
-        fraction: current limit in force-position mode, as a fraction of the largest current.
+        limits: largest speed and acceleration of the motor.
+        fraction: current limit in force-position mode, as a fraction of the largest current of the
+            motor.
     """
 
     mode: DriveMode
@@ -63,16 +64,16 @@ class MitModeDrive(MitDrive):
 
     @property
     def _mode_registers(self) -> tuple[tuple[int, float], ...]:
-        """Return the registers that a mode needs, as (register, value) pairs."""
+        """Return the registers for the control mode, as pairs (register, required value)."""
         slope = self.limits.acceleration
         ramps = ((codec.ACCELERATION, slope), (codec.DECELERATION, -slope), (codec.MAX_SPEED, self.limits.speed))
         return ((codec.CTRL_MODE, _REGISTER[self.mode]), *ramps)
 
     @property
     def guards(self) -> tuple[tuple[int, float], ...]:
-        """Return the registers of the drive's own protections, as (register, value) pairs.
+        """Return the registers of the protections in the motor, as pairs (register, required value).
 
-        They are read back again while the motor is enabled.
+        They are read again while the motor is enabled.
         """
         return (
             (codec.TIMEOUT, self.timeout),
@@ -81,7 +82,7 @@ class MitModeDrive(MitDrive):
         )
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frame, because the motor takes no torque commands in this mode."""
+        """Return no frames, because the motor takes no torque commands in position and velocity modes."""
         return ()
 
     def _command(self, torque: float) -> Frame:
@@ -91,10 +92,10 @@ class MitModeDrive(MitDrive):
 
 
 def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> MitModeDrive:
-    """Return the drive of a motor description in a mode.
+    """Return the drive for a motor description, in the given mode.
 
     Raises:
-        ConfigError: an option unknown to MIT mode, or a limit without a code.
+        ConfigError: an option is unknown or wrong, or a limit does not fit in the command.
     """
     options = dict(motor.options)
     where = f"motor[{motor.name}].options.current_fraction"

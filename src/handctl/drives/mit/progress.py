@@ -1,4 +1,4 @@
-"""Progress of an MIT motor between frames, and the effect of the state nibble of its feedback."""
+"""Progress of the state machine of a Damiao motor, and the effect of the state nibble in its feedback."""
 
 from typing import NamedTuple
 
@@ -9,10 +9,10 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-# Error codes that handctl adds, above the state nibbles of the motor.
+# Error codes added by handctl. All are larger than the state nibbles of the motor.
 #
-# In order: disabled without a command, a wrong register value, an unknown state, enabled by another
-# host.
+# In this order, the motor has disabled itself without a command, has a wrong register value,
+# reports an unknown state, or was enabled by another host.
 DROPPED_OUT = 0x100
 MISMATCH = 0x101
 UNKNOWN = 0x102
@@ -21,18 +21,21 @@ CAUSES = {
     0x8: Cause.VOLTAGE, 0x9: Cause.VOLTAGE, 0xB: Cause.HOT, 0xC: Cause.HOT, 0xD: Cause.WATCHDOG,
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH,
 } | dict.fromkeys(codec.ERRORS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, Cause.OTHER)  # fmt: skip
-"""Cause of each state nibble and of each error code added by handctl."""
+"""Cause of each error, by the state nibble or by the error code added by handctl."""
 WATCHDOG_FIRED = 0xD
 """State nibble of a motor whose watchdog has fired."""
 FIRES_WHILE_DISABLED_TEXT = "its watchdog also fires while it is disabled"
-"""Text of a disabled motor that reported WATCHDOG_FIRED. The motor has no error, and gets clear commands."""
-CLEAR_TRIES = 6
-"""Number of feedback frames that may still show an error after the command to clear it.
+"""Text for a disabled motor that has reported WATCHDOG_FIRED.
 
-The motor sends two frames per tick then.
+This is no fault, and the motor gets clear commands.
+"""
+CLEAR_TRIES = 6
+"""Number of feedback frames that may still show an error after the clear command.
+
+The motor then sends two frames per tick.
 """
 SILENCE_NS = 250_000_000
-"""Time without a frame after which the motor may have lost power and its register values [ns]."""
+"""Time without a frame after which the motor may have lost power, and therefore its register values [ns]."""
 
 
 class MitProgress(NamedTuple):
@@ -40,16 +43,18 @@ class MitProgress(NamedTuple):
 
     Attributes:
         cursor: position in the list of registers to read back.
-        configured: True if all registers have their required values. Only then can feedback be
-            decoded.
-        enabled_by_other: True if the motor reports enabled without a command of this host.
-        enable_sent: True from the enable command to the next report of disabled.
+        configured: True if all registers have their required values. Feedback can be decoded only
+            then.
+        enabled_by_other: True if the motor reports the state enabled without a command of this
+            host.
+        enable_sent: True from the enable command until the motor reports the state disabled.
         disabling: True while the motor is being disabled.
         disabling_ns: time of the first disable command [ns].
-        clearing: feedback frames left to ignore while the error is being cleared.
+        clearing: number of feedback frames with an error still to be ignored, while the error is
+            being cleared.
         ready_ns: time at which the last register was verified [ns].
-        check: position in the read-back repeated while enabled.
-        serial: serial number, 0 if unknown.
+        check: position in the repeated read-back of the enabled motor.
+        serial: serial number of the motor, 0 if unknown.
     """
 
     cursor: Cursor = Cursor()
@@ -65,18 +70,21 @@ class MitProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MitProgress:
-    """Return the MIT part of a drive state."""
+    """Return the MIT progress in a drive state."""
     progress: MitProgress = state.private
     return progress
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state in phase FAULT with an error code and its text."""
+    """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def apply_status(state: DriveState, nibble: int) -> DriveState:
-    """Return the state after a state nibble. The given state already has the values of the same feedback."""
+    """Return the state after feedback with a state nibble.
+
+    ``state`` already has the values of the same feedback.
+    """
     progress = progress_of(state)
     if nibble == codec.ENABLED:
         return _state_when_enabled(state, progress)
@@ -86,10 +94,10 @@ def apply_status(state: DriveState, nibble: int) -> DriveState:
 
 
 def _state_when_disabled(state: DriveState, progress: MitProgress) -> DriveState:
-    """Return the state after the motor reported disabled."""
+    """Return the state after the motor has reported the state disabled."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
-        # Feedback that was sent before the disable command does not show its effect.
+        # Feedback from before the disable command does not show the effect of this command.
         if state.feedback_t_ns < progress.disabling_ns:
             return state._replace(private=progress)
         return state._replace(phase=FAULT if state.error else READY, private=off)
@@ -100,7 +108,7 @@ def _state_when_disabled(state: DriveState, progress: MitProgress) -> DriveState
 
 
 def _state_when_enabled(state: DriveState, progress: MitProgress) -> DriveState:
-    """Return the state after the motor reported enabled."""
+    """Return the state after the motor has reported the state enabled."""
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
@@ -112,17 +120,17 @@ def _state_when_enabled(state: DriveState, progress: MitProgress) -> DriveState:
 
 
 def _state_after_error(state: DriveState, progress: MitProgress, nibble: int) -> DriveState:
-    """Return the state after the motor reported an error.
+    """Return the state after the motor has reported an error.
 
-    A known error has removed the torque. With an unknown state nibble the motor may still make
+    A motor with a known error makes no torque. A motor with an unknown state nibble may still make
     torque.
     """
     if nibble in codec.ERRORS and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     idle = not (progress.enable_sent or progress.enabled_by_other or progress.disabling)
     if nibble == WATCHDOG_FIRED and idle and state.phase in (CONFIGURING, READY):
-        # Register requests do not restart the watchdog. The motor makes no torque, so no operator
-        # is needed.
+        # The watchdog has fired, because register requests do not restart it. The motor makes no
+        # torque, so no operator has to clear the error.
         return state._replace(error_text=FIRES_WHILE_DISABLED_TEXT, private=progress._replace(clearing=CLEAR_TRIES))
     if nibble in codec.ERRORS:
         off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))

@@ -1,25 +1,28 @@
-"""Read-back of the registers before arming: read each one, correct a wrong value, and read it again."""
+"""Read-back of the registers of a Damiao motor before arming: read each, correct a wrong value, and read it again."""
 
 from handctl.drives import readback
 from handctl.drives.mit import codec
 from handctl.drives.readback import Cursor
 
 SERIAL_NUMBER_TRIES = 3
-"""Number of requests for the serial number. Not every motor has a register with it."""
+"""Number of requests for the serial number. Some motors have no register with the serial number."""
 WRITE_TRIES = 1
-"""Number of writes per register. A motor refuses a value if the register is still wrong after one write."""
+"""Number of writes per register.
+
+If a register is still wrong after one write, the motor refuses the value.
+"""
 
 RequiredRegisters = tuple[tuple[int, float], ...]
-"""Registers with required values, (register, value), in the order of the requests."""
+"""Registers with the required values, as pairs (register, value), in the order of the requests."""
 
 
 def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterReply) -> tuple[Cursor, str]:
-    """Advance the read-back with a register reply. Replies to other requests are ignored.
+    """Return the position in the read-back after a register reply. Replies to other requests have no effect.
 
     Args:
-        cursor: cursor, not beyond the last register.
-        required: registers with their required values.
-        reply: reply of this motor.
+        cursor: position in the read-back, not beyond the last register.
+        required: registers with the required values.
+        reply: register reply of this motor.
 
     Returns:
         the new cursor, and the problem in words, empty without a problem.
@@ -35,17 +38,17 @@ def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterR
 
 
 def next_request(cursor: Cursor, required: RequiredRegisters, node_id: int, t_ns: int) -> tuple[Cursor, bytes, str]:
-    """Return the next register request of the read-back, if its time has come.
+    """Return the next register request of the read-back, if due.
 
     Args:
-        cursor: cursor, not beyond the last register.
-        required: registers with their required values.
-        node_id: ESC_ID.
+        cursor: position in the read-back, not beyond the last register.
+        required: registers with the required values.
+        node_id: node number of the motor, ESC_ID.
         t_ns: time of the tick [ns].
 
     Returns:
-        the new cursor, the payload on BROADCAST_ID, and the problem in words. The payload is empty
-        while an answer is awaited, the problem is empty without a problem.
+        the new cursor, the payload for a frame with BROADCAST_ID, and the problem in words. The
+        payload is empty while an answer is awaited. The problem is empty if all is right.
     """
     register, value = required[cursor.step]
     cursor, send, problem = readback.request_setting(cursor, register_name(register), t_ns)
@@ -57,13 +60,13 @@ def next_serial_request(cursor: Cursor, node_id: int, t_ns: int) -> tuple[Cursor
     """Return the request for the serial number, which follows the read-back of all registers.
 
     Returns:
-        the new cursor, the payload on BROADCAST_ID (empty while an answer is awaited), and True if
-        the motor does not answer.
+        the new cursor, the payload for a frame with BROADCAST_ID (empty while an answer is
+        awaited), and True if the motor does not answer.
     """
     cursor, send, unanswered = readback.request_setting(cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES)
     return cursor, codec.register_request(node_id, codec.READ, codec.SERIAL_NUMBER) if send else b"", bool(unanswered)
 
 
 def register_name(register: int) -> str:
-    """Return the name of a register for messages."""
+    """Return the name of a register, for messages to the operator."""
     return f"register {register} {codec.REGISTER_NAMES[register]}"

@@ -1,1 +1,1 @@
-"""Moteus controllers (mjbots): register protocol over CAN FD."""
+"""Motor controllers moteus (mjbots) with their register protocol over CAN FD."""

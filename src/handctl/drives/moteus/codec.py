@@ -1,13 +1,15 @@
-"""Frames of moteus' register protocol: bytes <-> values at the output shaft. All numbers are little-endian.
+"""Conversion of the frames of moteus' register protocol between bytes and values. All numbers are little-endian.
 
-Identifier of a request, always 29 bits, and of its reply, 11 bits below 0x800, else 29 bits:
+The identifier of a request always has 29 bits. That of its reply has 11 bits if it is below 0x800,
+else 29 bits:
 
     bits    28..16         15                14..8           7..0
     request prefix (0)     1 reply wanted    source (host)   destination (node)
     reply   prefix (0)     0                 source (node)   destination (host)
 
-A payload is a sequence of subframes, padded with 50 (no operation). Type is 0 int8, 1 int16,
-2 int32, 3 float32. A count of 1 to 3 is in the lowest two bits, a larger one is a varuint:
+A payload is a sequence of subframes, padded with bytes 50 (no operation). The type of values is 0
+for int8, 1 for int16, 2 for int32, and 3 for float32. A count of 1 to 3 values is in the lowest two
+bits of the first byte. A larger count is a varuint after this byte:
 
     00 | type << 2 | count    register (varuint), values          write
     10 | type << 2 | count    register (varuint)                  read
@@ -44,17 +46,17 @@ from handctl.drives.frame_time import FD_SIZES
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
 FLAGS = FDF | BRS
-"""Flags of frames to the drive."""
+"""Flags of all frames to the drive."""
 REPLY_WANTED = 0x8000
-"""Bit of a request's identifier that asks for a reply."""
+"""Bit in the identifier of a request that asks the drive for a reply."""
 STANDARD_IDS = 0x800
-"""Number of identifiers with 11 bits: larger identifiers have 29 bits."""
+"""Number of identifiers with 11 bits. Larger identifiers have 29 bits."""
 LAST_NODE = 0x7E
-"""Largest node number. 0x7F is the broadcast."""
+"""Largest node number. 0x7F is the broadcast to all drives."""
 BROADCAST = 0x7F
-"""Node number of all drives."""
+"""Node number with which a request goes to all drives."""
 SOURCES = range(0x80)
-"""Source numbers of hosts. handctl is source 0."""
+"""Possible source numbers of hosts. handctl is source 0."""
 NOP = 0x50
 """Padding byte."""
 
@@ -69,17 +71,17 @@ INTEGRATOR_SCALE = 0x02B
 FIRMWARE_VERSION = 0x101
 SERIAL_NUMBER = 0x120
 
-# Modes without torque: stopped, fault.
+# Modes in which the drive makes no torque: stopped, fault.
 STOPPED = 0
 FAULT_MODE = 1
 PREPARING_MODES = (2, 3, 4)
-"""Modes between stopped and position mode."""
+"""Modes through which the drive goes from stopped to position mode."""
 POSITION = 10
-"""Mode of torque commands: position mode with gains 0."""
+"""Position mode. A torque command selects this mode, with gains 0."""
 TIMED_OUT = 11
-"""Mode after the watchdog. The drive leaves this mode only by the stop command."""
+"""Mode after the watchdog has fired. The drive leaves this mode only after a stop command."""
 LIMIT_CODES = range(96, 128)
-"""Fault codes in position mode that name the limit in effect. These codes are not errors."""
+"""Fault codes in position mode that tell which limit is in effect. These codes are not errors."""
 FAULTS = {
     32: "calibration fault",
     33: "motor driver fault",
@@ -99,27 +101,30 @@ FAULTS = {
     47: "back-EMF feedforward without acceleration limit",
     48: "invalid position limits",
 }
-"""Fault codes in mode 1."""
+"""Text of each fault code in mode 1 (fault)."""
 
 WRITE, READ, REPLY = 0x00, 0x10, 0x20
 """First bytes of register subframes: write, read, and reply."""
 INT8, INT16, INT32, FLOAT = range(4)
-"""Types of register values."""
+"""Types of the values of registers."""
 WRITE_REFUSED, READ_REFUSED = 0x30, 0x31
-"""First bytes of subframes that report a refused write or read: register and error number."""
+"""First bytes of subframes that report a refused write or read.
+
+Register and error number follow.
+"""
 TEXT_IN, TEXT_OUT, TEXT_POLL = 0x40, 0x41, 0x42
 """First bytes of text subframes: text to the drive, text from the drive, request for text."""
 DIAGNOSTIC_CHANNEL = 1
 """Channel of the diagnostic protocol."""
 LONGEST_TEXT = 48
-"""Longest text in one reply [bytes]."""
+"""Longest text in one reply of the drive [bytes]."""
 _VALUES = tuple(struct.Struct(f"<{letter}") for letter in "bhif")
 """``struct`` code of each type of register value."""
 
 QUERY = bytes((READ | 1, MODE, READ | 2, TEMPERATURE, READ | FLOAT << 2 | 3, 0x01, READ | 1, MOTOR_TEMPERATURE))
-"""Request for the feedback."""
+"""Subframes that request feedback."""
 FEEDBACK_LENGTH = 24
-"""Length of the feedback [bytes]."""
+"""Length of a feedback frame [bytes]."""
 STATUS_HEADERS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"))
 """Position and value of the bytes that are the same in every feedback of an enabled drive without a fault."""
 
@@ -130,7 +135,7 @@ def request_id(node_id: int, source: int = 0) -> int:
 
 
 def reply_id(node_id: int, source: int = 0) -> int:
-    """Return the identifier of a node's reply to a source."""
+    """Return the identifier of a node's reply to a request from a source."""
     number = node_id << 8 | source
     return number if number < STANDARD_IDS else number | EXTENDED
 
@@ -152,12 +157,12 @@ def write_bytes_subframe(first: int, *values: int) -> bytes:
 
 
 def read_subframe(kind: int, register: int) -> bytes:
-    """Return the subframe that reads a register as a value of the given type."""
+    """Return the subframe to read a register as a value of the given type."""
     return bytes((READ | kind << 2 | 1,)) + encode_varuint(register)
 
 
 def encode_varuint(number: int) -> bytes:
-    """Return a number as varuint: groups of seven bits, the lowest first."""
+    """Return a number as varuint, in groups of seven bits with the lowest group first."""
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -166,19 +171,19 @@ def encode_varuint(number: int) -> bytes:
 
 
 def limits_subframes(torque: float, timeout_s: float) -> bytes:
-    """Return the subframes that set the drive's own torque limit [N m] and watchdog [s]."""
+    """Return the subframes that set the torque limit [N m] and the timeout of the watchdog [s] in the drive."""
     return write_floats_subframe(MAX_TORQUE, torque) + write_floats_subframe(TIMEOUT, timeout_s)
 
 
 STOP = padded_payload(write_bytes_subframe(MODE, STOPPED) + QUERY)
-"""Payload of the stop command."""
+"""Payload of the stop command, which also requests feedback."""
 
 
 def limits_request(torque: float, timeout_s: float) -> bytes:
     """Return the payload that stores torque limit and watchdog in the command registers.
 
-    The stored limits have no effect until a command sets the mode. A firmware without the
-    integrator's register refuses the write here, before the first torque.
+    The stored limits have no effect until a command sets the mode. A firmware without the register
+    of the integrator refuses this write, before any torque command.
     """
     return padded_payload(limits_subframes(torque, timeout_s) + write_bytes_subframe(INTEGRATOR_SCALE, 0) + QUERY)
 
@@ -189,17 +194,17 @@ def text_request(text: bytes) -> bytes:
 
 
 TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, DIAGNOSTIC_CHANNEL, LONGEST_TEXT)))
-"""Payload that requests the text of the diagnostic channel."""
+"""Payload to request text from the diagnostic channel."""
 
 
 def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1) -> Message:
     """Return the signal table of the torque command: position mode, gains 0, and feedforward torque.
 
     Args:
-        node_id: node number.
-        torque: torque limit that host and drive apply [N m].
-        timeout_s: time of the watchdog [s].
-        sign: sign of the torque, 1 if positive torque winds.
+        node_id: node number of the drive.
+        torque: torque limit that both host and drive apply [N m].
+        timeout_s: timeout of the watchdog [s].
+        sign: 1 if positive torque of the motor winds the tendon, else -1.
     """
     no_motion = (
         write_bytes_subframe(0x020, -128, 0)
@@ -223,12 +228,13 @@ def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1
 
 
 def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:
-    """Return the signal table of the feedback.
+    """Return the signal table of the feedback frame.
 
     Args:
-        node_id: node number.
-        sign: sign of position, velocity, and torque, 1 if positive torque winds.
-        zero: motor angle of the spool's zero [rad].
+        node_id: node number of the drive.
+        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+            have the same sign.
+        zero: motor angle at spool angle zero [rad].
     """
     turns = sign * math.tau
     position = _float_signal("position", Quantity.POSITION, 9, turns, "rad")
@@ -239,29 +245,30 @@ def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:
         Signal("fault", Quantity.STATUS, 48, 8),
         Signal("values_head", Quantity.STATUS, 56, 16),
         Signal("motor_head", Quantity.STATUS, 168, 16),
-        # Spool angle = sign * (motor angle - zero).
+        # The spool angle is sign * (motor angle - zero).
         position._replace(offset=-sign * zero),
         _float_signal("velocity", Quantity.VELOCITY, 13, turns, "rad/s"),
         _float_signal("torque", Quantity.TORQUE, 17, float(sign), "N m"),
         Signal("board", Quantity.TEMPERATURE, 40, 8, coding=Coding.SIGNED, unit="degC"),
-        # Without a thermistor the count is -128, and the board is the hottest.
+        # Without a thermistor in the motor the count is -128, so the temperature of the board is
+        # the highest.
         Signal("motor", Quantity.TEMPERATURE, 184, 8, coding=Coding.SIGNED, unit="degC"),
     ), FLAGS)  # fmt: skip
 
 
 def _float_signal(name: str, quantity: Quantity, byte: int, scale: float, unit: str) -> Signal:
-    """Return a float32 signal that begins at a byte."""
+    """Return the description of a float32 signal that begins at a byte."""
     return Signal(name, quantity, 8 * byte, 32, coding=Coding.FLOAT, scale=scale, unit=unit)
 
 
 def joined_status(mode: int, fault: int) -> int:
-    """Return the status number of a feedback frame, joined as compiled code joins its signals."""
+    """Return the status of feedback with a mode and a fault code, as compiled code joins its signals."""
     heads = [int.from_bytes(content, "little") for _, content in STATUS_HEADERS]
     return ((((heads[0] << 8 | mode) << 8 | heads[1]) << 8 | fault) << 16 | heads[2]) << 16 | heads[3]
 
 
 def is_feedback(data: bytes) -> bool:
-    """Return True if the payload has the layout of the feedback."""
+    """Return True if the payload has the layout of a feedback frame."""
     heads = all(data[at : at + len(content)] == content for at, content in STATUS_HEADERS)
     return len(data) == FEEDBACK_LENGTH and heads
 
@@ -270,9 +277,9 @@ class DriveReply(NamedTuple):
     """Content of a reply from the drive.
 
     Attributes:
-        values: values by register.
+        values: value of each register in the reply, by register.
         refused: error numbers of refused reads and writes, by register.
-        text: text from the diagnostic channel, None without a text subframe.
+        text: text from the diagnostic channel, None if the reply has no text subframe.
     """
 
     values: dict[int, float]
@@ -281,7 +288,7 @@ class DriveReply(NamedTuple):
 
 
 def decode_reply(data: bytes) -> DriveReply | None:
-    """Decode a payload as a reply, or return None if it is not one."""
+    """Decode a payload as a reply of the drive, or return None if it is no reply."""
     values = dict[int, float]()
     refused = dict[int, int]()
     text = None
@@ -321,7 +328,7 @@ class _Reader:
         return value
 
     def bytes(self, number: int) -> bytes:
-        """Return the next bytes."""
+        """Return the given number of next bytes."""
         value = self.data[self.at : self.at + number]
         if len(value) < number:
             raise IndexError
@@ -329,7 +336,7 @@ class _Reader:
         return value
 
     def varuint(self) -> int:
-        """Return the next varuint: at most five groups of seven bits."""
+        """Return the next varuint, of at most five groups of seven bits."""
         number = 0
         for shift in range(0, 35, 7):
             group = self.byte()

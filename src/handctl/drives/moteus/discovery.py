@@ -1,7 +1,7 @@
-"""Discovery of moteus controllers: read the mode register from each node number, then other registers.
+"""Discovery of moteus controllers. A scan reads the mode register from every node number, then other registers.
 
-Reads make no torque and do not feed the watchdog. All requests and replies are classical frames of
-at most eight bytes, because a classical bus must not carry CAN FD. A drive answers a classical
+Reads make no torque, and do not restart a drive's watchdog. All requests and replies are classical
+frames of at most eight bytes, because the bus may be a classical one. A drive answers a classical
 frame with a classical frame. Source: docs/facts/moteus.md.
 """
 
@@ -19,9 +19,9 @@ from handctl.drives.moteus import codec
 from handctl.drives.moteus.progress import error_text
 
 DRIVE_NUMBERS = range(1, codec.LAST_NODE + 1)
-"""Node numbers to try."""
+"""Node numbers for a scan to try."""
 MODE_REQUEST = codec.read_subframe(codec.INT8, codec.MODE)
-"""Payload that reads the mode, to discover a node. The reply begins with 21 00."""
+"""Payload to read the mode of a node, to discover the node. The reply begins with 21 00."""
 MODE_REPLY = bytes((codec.REPLY | 1, codec.MODE))
 DETAILS = (
     codec.read_subframe(codec.INT8, codec.FAULT),
@@ -35,9 +35,10 @@ _MODES = {codec.STOPPED: "stopped", codec.FAULT_MODE: "fault", codec.POSITION: "
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round.
+    """Return the requests of a round of the scan.
 
-    Round 2 reads the mode from every node number. Round 3 reads details of the discovered drives.
+    Round 2 reads the mode from every node number. Round 3 reads other registers of the discovered
+    drives.
     """
     if turn == 2:
         return tuple(Frame(codec.request_id(number), MODE_REQUEST) for number in DRIVE_NUMBERS)
@@ -47,13 +48,14 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def drives_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the drives that reported their mode to this host."""
+    """Return the drives that have reported their mode to this host."""
     answers: dict[int, dict[int, list[bytes]]] = {}
     by_reply = {codec.reply_id(number): number for number in DRIVE_NUMBERS}
     for frame in received:
         number = by_reply.get(frame.can_id)
         reply = codec.decode_reply(frame.data) if number is not None else None
-        # Each request of a scan reads one register. Longer replies belong to another host.
+        # Each request of a scan reads one register. A reply with more registers answers another
+        # host.
         if number is not None and reply is not None and len(reply.values) == 1:
             answers.setdefault(number, {}).setdefault(next(iter(reply.values)), []).append(frame.data)
     return tuple(
@@ -62,7 +64,10 @@ def drives_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
-    """Return the discovered drive with its data, from its answers by register."""
+    """Return a discovered drive with all data.
+
+    ``answers`` has the payloads from the drive, by register.
+    """
     values: dict[int, int] = {}
     for register, payloads in answers.items():
         reply = codec.decode_reply(payloads[-1])
@@ -83,16 +88,16 @@ def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredN
 
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
-    """Return the identifiers of requests from any source to this node and to all nodes."""
+    """Return the identifiers of requests from any host to this drive and to all drives."""
     return frozenset(
         codec.request_id(node, source) for node in (drive.node_id, codec.BROADCAST) for source in codec.SOURCES
     )
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the received frames that are requests to a drive.
+    """Return the received frames that another host has sent as requests to a drive.
 
-    Requests have the reply bit and a 29-bit identifier without a prefix.
+    The identifier of a request has 29 bits, the reply bit, and no prefix.
     """
     return tuple(
         frame
@@ -106,12 +111,12 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def ping(drive: DiscoveredNode) -> Frame:
-    """Return the frame that reads the mode."""
+    """Return the frame to read the mode of the drive."""
     return Frame(codec.request_id(drive.node_id), MODE_REQUEST)
 
 
 def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame is a reply with the mode."""
+    """Return True if the frame is a reply of the drive with its mode."""
     return frame.can_id == codec.reply_id(drive.node_id) and frame.data[:2] == MODE_REPLY
 
 

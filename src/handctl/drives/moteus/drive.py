@@ -1,4 +1,4 @@
-"""Moteus controller: from silence through its settings to torque, and back to stopped.
+"""State machine to configure, enable, and stop a moteus controller.
 
 A drive answers requests and sends no other frame. A torque command selects position mode with gains
 0 and a feedforward torque. The same frame contains the drive's torque limit, its watchdog time, and
@@ -35,25 +35,25 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-"""Phases as module-level names for speed.
+"""Phases of a drive as names of the module, for speed.
 
-Reading an attribute of the enumeration is slower than a comparison.
+Looking a phase up in the enumeration takes longer than comparing two phases.
 """
 SERIAL_REQUEST = codec.padded_payload(
     bytes((codec.READ | codec.INT32 << 2 | 3,)) + codec.encode_varuint(codec.SERIAL_NUMBER)
 )
-"""Payload that reads the three registers of the serial number."""
+"""Payload to read the three registers with the serial number."""
 
 
 @dataclass(frozen=True, slots=True)
 class MoteusDrive:
-    """Moteus controller with its motor. Implements ``contract.Drive``.
+    """Moteus controller with its motor, with the interface ``contract.Drive``.
 
     Attributes:
-        name: name of the motor.
-        bus: index of the bus.
-        node_id: 1 to 0x7e.
-        torque_limit: largest torque command, and the drive's own limit [N m at the spool].
+        name: name of the motor in the hand file.
+        bus: index of the bus of the drive.
+        node_id: node number, from 1 to 0x7e.
+        torque_limit: largest torque command, and torque limit in the drive [N m at the spool].
         direction: 1 if positive torque of the motor winds, else -1.
         zero: motor angle of the spool's zero [rad].
         timeout_s: time of the watchdog [s].
@@ -107,7 +107,7 @@ class MoteusDrive:
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the frames of one read-back per text channel: command, request for the answer, and both replies."""
+        """Return the frames of the read-back of an enabled drive: two requests over the text channel, two replies."""
         rate = readback.RECHECKS_PER_SECOND
         return ((48, True, rate), (3, True, rate), (4, True, rate), (16, True, rate))
 
@@ -118,7 +118,7 @@ class MoteusDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of requests from any host to this node and to all nodes."""
+        """Return the identifiers of requests from any host to this drive and to all drives."""
         return frozenset(
             codec.request_id(node, source) for node in (self.node_id, codec.BROADCAST) for source in codec.SOURCES
         )
@@ -135,17 +135,17 @@ class MoteusDrive:
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True, because a drive sends one reply per request."""
+        """Return True, because the drive sends a single reply per request."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return 0 (unknown): the drive does not report the encoder step."""
+        """Return 0 (unknown), because the drive does not report the resolution of its encoder."""
         return 0.0
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because every command requests feedback."""
+        """Return 0, because the drive sends feedback only as the reply to a request."""
         return 0.0
 
     @property
@@ -154,7 +154,7 @@ class MoteusDrive:
         return Cyclic((self.feedback.message,), (self.command.message,))
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status of feedback in position mode without a fault code."""
+        """Return the status of feedback in position mode without a fault code, or UNSTEADY."""
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
             return UNSTEADY
@@ -165,11 +165,11 @@ class MoteusDrive:
         return progress_of(state).check.due_ns
 
     def initial(self) -> DriveState:
-        """Return the state before the first frame."""
+        """Return the state of the drive before the first frame."""
         return DriveState(private=MoteusProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after one received frame, see ``contract.Drive``."""
+        """Return the state after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if bus != self.bus or can_id != self.feedback.message.can_id:
             return state
@@ -192,7 +192,7 @@ class MoteusDrive:
         return self._on_value(state, progress, setting, reply.values[setting.register], "")
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Update the state with the values, the mode, and the fault code of a feedback frame."""
+        """Return the state after feedback, with the values and the effect of the mode and fault code."""
         *status, position, velocity, torque, board, motor = self.feedback.unpack(data)
         if math.isnan(position + velocity + torque):
             return state._replace(misread=state.misread + 1)
@@ -207,7 +207,7 @@ class MoteusDrive:
         return apply_mode(updated, int(status[1]), int(status[3]))
 
     def _open_setting(self, state: DriveState, progress: MoteusProgress) -> items.MoteusSetting | None:
-        """Return the setting whose value was requested, or None without an open request."""
+        """Return the setting whose value the host has requested, or None if no request is open."""
         if state.phase == CONFIGURING and progress.cursor.waiting and progress.cursor.step < len(self.required):
             return self.required[progress.cursor.step]
         if state.phase == ENABLED and progress.check.waiting:
@@ -215,12 +215,12 @@ class MoteusDrive:
         return None
 
     def _on_text(self, state: DriveState, progress: MoteusProgress, text: bytes) -> DriveState:
-        """Return the state after a part of a text answer."""
+        """Return the state after a part of an answer over the text channel."""
         emptied = progress.channel.asked_ns < 0
         channel, line = progress.channel.take(text)
         progress = progress._replace(channel=channel)
         if emptied:
-            # The request for old text has its answer. The next request may follow at once.
+            # This answers a read that empties the channel. The next request may follow at once.
             cursor = progress.cursor
             progress = progress._replace(cursor=cursor._replace(sent_ns=-1, tries=max(0, cursor.tries - 1)))
         state = state._replace(private=progress)
@@ -234,7 +234,10 @@ class MoteusDrive:
     def _on_value(
         self, state: DriveState, progress: MoteusProgress, setting: items.MoteusSetting, value: float | None, text: str
     ) -> DriveState:
-        """Compare the value of a setting with the required value. A text that is not a number counts as wrong."""
+        """Return the state after the value of a setting.
+
+        A text that is not a number counts as a wrong value.
+        """
         same = value is not None and setting.is_right(value)
         shown = text if value is None else f"{value:g}"
         expected = f"{setting.value:g}"
@@ -256,7 +259,7 @@ class MoteusDrive:
     def _on_serial(
         self, state: DriveState, progress: MoteusProgress, values: dict[int, float], t_ns: int
     ) -> DriveState:
-        """Return the state after the serial number arrived, the last step of the configuration."""
+        """Return the state after the serial number has arrived, the last step of the configuration."""
         if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
             return state
         words = [int(values.get(codec.SERIAL_NUMBER + i, 0)) & 0xFFFFFFFF for i in range(3)]
@@ -269,7 +272,7 @@ class MoteusDrive:
         progress: MoteusProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             command = self._frame_to_drive(self._torque_payload(torque))
-            # The usual path of a running hand: one command, no other state change.
+            # In a running hand this is the usual case: one command, and no change of the state.
             if t_ns < progress.check.due_ns and not progress.check.waiting:
                 return state, (command,)
             state, requests = self._next_recheck(state, progress, t_ns)
@@ -297,9 +300,9 @@ class MoteusDrive:
         return state._replace(private=progress), (question,)
 
     def _disable(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> DriveState:
-        """Return the state while the drive is being stopped.
+        """Return the state of a drive that is being stopped.
 
-        A drive that may be enabled counts as enabled until it reports stopped.
+        A drive that may be enabled counts as enabled until feedback reports the state stopped.
         """
         phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
@@ -316,7 +319,8 @@ class MoteusDrive:
         if channel.awaits(t_ns):
             channel, data = channel.poll()
         elif t_ns >= progress.check.due_ns:
-            # The text of a request without an answer may still arrive.
+            # If a request has no answer, its text may still arrive, so the channel is emptied
+            # first.
             channel = items.Channel() if progress.check.waiting else channel
             check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
             progress = progress._replace(check=check)
@@ -331,14 +335,17 @@ class MoteusDrive:
     def _configure(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the next request of the configuration. An enabled drive is stopped first."""
+        """Return the next state and the next request of the configuration.
+
+        An enabled drive is stopped first.
+        """
         if progress.enabled_by_other:
             text = f"in mode {progress.mode} without a command, and does not stop"
             return state._replace(error_text=text, private=progress), self.cut()
         if progress.cursor.step >= len(self.required):
             return self._request_serial(state, progress, t_ns)
         setting = self.required[progress.cursor.step]
-        if setting.register and progress.cursor.writing:  # a write has no separate answer
+        if setting.register and progress.cursor.writing:  # the drive answers this write only with feedback
             limits = self._frame_to_drive(codec.limits_request(self.torque_limit, self.timeout_s))
             return state._replace(private=progress._replace(cursor=progress.cursor.after_write())), (limits,)
         if progress.channel.awaits(t_ns):
@@ -350,7 +357,8 @@ class MoteusDrive:
         channel = progress.channel
         data = b""
         if send:
-            # The text of a request without an answer may still arrive.
+            # If a request has no answer, its text may still arrive, so the channel is emptied
+            # first.
             channel = items.Channel() if progress.cursor.waiting else channel
             channel, data = self._setting_request(channel, setting, cursor.writing, t_ns)
         updated = state._replace(error_text="", private=progress._replace(cursor=cursor, channel=channel))
@@ -359,7 +367,7 @@ class MoteusDrive:
     def _setting_request(
         self, channel: items.Channel, setting: items.MoteusSetting, writing: bool, t_ns: int
     ) -> tuple[items.Channel, bytes]:
-        """Return the text channel and the payload that reads or writes a setting."""
+        """Return the next state of the text channel, and the payload that reads or writes a setting."""
         if setting.register:
             return channel, codec.read_subframe(codec.FLOAT, setting.register)
         command = items.write_request(setting) if writing else items.read_request(setting)
@@ -368,7 +376,7 @@ class MoteusDrive:
     def _request_serial(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the serial number a few times, then continue without it."""
+        """Request the serial number at most a few times, then continue without a serial number."""
         cursor, send, unanswered = readback.request_setting(progress.cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES)
         updated = state._replace(private=progress._replace(cursor=cursor))
         if unanswered:
@@ -379,10 +387,10 @@ class MoteusDrive:
         """Return the payload of a torque command.
 
         Args:
-            torque: command [N m at the spool].
+            torque: torque to command [N m at the spool].
 
         Raises:
-            ValueError: torque is not finite, or beyond the limit.
+            ValueError: the torque is not finite, or exceeds the torque limit.
         """
         try:
             return self.command.pack(torque)
@@ -390,7 +398,7 @@ class MoteusDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frame, because every torque command enables the drive."""
+        """Return no frames, because every torque command enables the drive."""
         return ()
 
     def cut(self) -> tuple[Frame, ...]:
@@ -398,12 +406,15 @@ class MoteusDrive:
         return (self._frame_to_drive(codec.STOP),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state that clears the latched error by the stop command and repeats the read-back."""
+        """Return the state and the stop command that clear the latched error.
+
+        Settings are then read back again.
+        """
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=MoteusProgress(clearing=CLEAR_TRIES))
         return fresh, self.cut()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame. A stopped drive has no active watchdog, so its release needs no frame."""
+        """Return no frames, because the watchdog of a stopped drive is not active."""
         return ()
 
     def identity(self, state: DriveState) -> str:
@@ -415,14 +426,14 @@ class MoteusDrive:
         return CAUSES.get(error, Cause.UNKNOWN)
 
     def _frame_to_drive(self, data: bytes) -> Frame:
-        """Return a frame to the drive with this payload."""
+        """Return a frame to the drive with the given payload."""
         return Frame(self.command.message.can_id, data, codec.FLAGS, self.bus)
 
 
 def _ready_state(state: DriveState, progress: MoteusProgress, t_ns: int, serial: int) -> DriveState:
-    """Return the state in phase READY, after all settings were verified.
+    """Return the state in phase READY of a drive whose settings have all been verified.
 
-    Serial number 0 means unknown.
+    With serial number 0, the serial number is unknown.
     """
     ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns, serial=serial)
     return state._replace(phase=READY, private=ready)

@@ -1,4 +1,4 @@
-"""Progress of a moteus controller between frames, and the effect of its mode and fault code."""
+"""Progress of the state machine of a moteus controller, and the effect of mode and fault code in its feedback."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-# Error codes that handctl adds, above the fault codes of the drive.
+# Error codes added by handctl. All are larger than the fault codes of the drive.
 DROPPED_OUT = 0x100
 MISMATCH = 0x101
 ENABLED_BY_OTHER_HOST = 0x102
@@ -18,11 +18,11 @@ CAUSES = {
     codec.FAULT_MODE: Cause.OTHER, codec.TIMED_OUT: Cause.WATCHDOG, 34: Cause.VOLTAGE, 40: Cause.VOLTAGE, 38: Cause.HOT,
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH,
 } | dict.fromkeys(codec.FAULTS.keys() - {34, 38, 40}, Cause.OTHER)  # fmt: skip
-"""Cause of each fault code, of each mode, and of each error code added by handctl."""
+"""Cause of each error, by the fault code, the mode, or the error code added by handctl."""
 CLEAR_TRIES = 3
-"""Number of feedback frames that may still show an error after the stop command that clears it."""
+"""Number of feedback frames that may still show an error after the clear command."""
 SILENCE_NS = 250_000_000
-"""Time without a frame after which the drive may have lost power and its settings [ns]."""
+"""Time without a frame after which the drive may have lost power, and therefore its settings [ns]."""
 SERIAL_NUMBER_TRIES = 3
 """Number of requests for the serial number. Safety does not depend on the serial number."""
 
@@ -32,17 +32,18 @@ class MoteusProgress(NamedTuple):
 
     Attributes:
         cursor: position in the list of settings to read back.
-        channel: state of the exchange over the text channel.
+        channel: state of the exchange over the diagnostic text channel.
         configured: True if all settings have their required values.
-        mode: mode in the latest feedback.
+        mode: mode of the drive in the latest feedback.
         enabled_by_other: True if the drive may make torque without a command of this host.
-        enable_sent: True from the enable command to the next report of stopped.
+        enable_sent: True from the enable command until the drive reports the state stopped.
         disabling: True while the drive is being stopped.
         disabling_ns: time of the first stop command [ns].
-        clearing: feedback frames left to ignore while the error is being cleared.
+        clearing: number of feedback frames with an error still to be ignored, while the error is
+            being cleared.
         ready_ns: time at which the last setting was verified [ns].
-        check: position in the read-back repeated while enabled.
-        serial: serial number, 0 if unknown.
+        check: position in the repeated read-back of the enabled drive.
+        serial: serial number of the drive, 0 if unknown.
     """
 
     cursor: Cursor = Cursor()
@@ -60,20 +61,20 @@ class MoteusProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MoteusProgress:
-    """Return the moteus part of a drive state."""
+    """Return the moteus progress in a drive state."""
     progress: MoteusProgress = state.private
     return progress
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state in phase FAULT with an error code and its text."""
+    """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Return the state after a mode and a fault code.
+    """Return the state after feedback with a mode and a fault code.
 
-    The given state already has the values of the same feedback.
+    ``state`` already has the values of the same feedback.
     """
     progress = progress_of(state)
     was_preparing = progress.mode in codec.PREPARING_MODES
@@ -92,13 +93,14 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def _state_when_stopped(state: DriveState, progress: MoteusProgress, was_preparing: bool) -> DriveState:
-    """Return the state after the drive reported stopped.
+    """Return the state after the drive has reported the state stopped.
 
-    If this host was enabling the drive, or had enabled it, the drive has restarted.
+    If this host had enabled the drive, or was enabling it, the drive has stopped by itself. That is
+    a fault.
     """
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
-        # Feedback that was sent before the stop command does not show its effect.
+        # Feedback from before the stop command does not show the effect of this command.
         if state.feedback_t_ns < progress.disabling_ns:
             return state
         return state._replace(phase=FAULT if state.error else READY, private=off)
@@ -109,14 +111,17 @@ def _state_when_stopped(state: DriveState, progress: MoteusProgress, was_prepari
 
 
 def _state_when_enabled(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Return the state after the drive reported position mode."""
+    """Return the state after the drive has reported position mode."""
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
     return _state_when_enabled_by_other(state, progress, "enabled, but not by this host")
 
 
 def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Return the state after a mode not used by this host. The drive may make torque."""
+    """Return the state after a mode that this host does not use.
+
+    The drive may make torque in this mode.
+    """
     if state.phase == ENABLED and progress.enable_sent and not progress.disabling:
         enabled = state._replace(private=progress._replace(enabled_by_other=True))
         return to_fault(enabled, DROPPED_OUT, f"went to mode {progress.mode} by itself")
@@ -124,7 +129,7 @@ def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> Dr
 
 
 def _state_when_enabled_by_other(state: DriveState, progress: MoteusProgress, text: str) -> DriveState:
-    """Return the state after a mode caused by another host or a restart."""
+    """Return the state after a mode that another host or a restart has caused."""
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
@@ -134,7 +139,7 @@ def _state_when_enabled_by_other(state: DriveState, progress: MoteusProgress, te
 
 
 def _state_after_error(state: DriveState, progress: MoteusProgress, error: int) -> DriveState:
-    """Return the state after an error. A drive in error makes no torque."""
+    """Return the state after the drive has reported an error. In error, it makes no torque."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
@@ -142,7 +147,7 @@ def _state_after_error(state: DriveState, progress: MoteusProgress, error: int) 
 
 
 def error_text(error: int) -> str:
-    """Return the text for an error of the drive."""
+    """Return the text for an error code of the drive."""
     if error == codec.TIMED_OUT:
         return "commands were missing: the drive's watchdog fired"
     if error == codec.FAULT_MODE:

@@ -1,12 +1,12 @@
-"""Settings of a moteus controller: read, written if wrong, and read again.
+"""Settings of a moteus controller. Before arming each is read, written if wrong, and read again.
 
 Torque limit and watchdog are command registers. Every torque command sets both registers. Before
-the first torque, a request that does not move the motor sets them. The other settings are
-configuration items of the diagnostic text channel. ``conf set`` changes the working memory alone,
-and no request writes the flash.
+the first torque command, a request that does not move the motor sets them. The other settings are
+configuration items, which the host reads and writes over the diagnostic text channel. ``conf set``
+changes only the working memory of the drive. handctl sends no request that writes the flash.
 
-A frame with text may be lost, and an answer may come late. Therefore each exchange starts with an
-empty channel: if a request got no answer, the host reads until no text is left.
+A frame with text may be lost, and an answer may come late. Each exchange therefore starts with an
+empty channel. If a request has got no answer, the host first reads until no text is left.
 """
 
 import math
@@ -17,19 +17,19 @@ from handctl.drives.moteus import codec
 from handctl.drives.readback import REQUEST_TIMEOUT_NS
 
 WRITE_TRIES = 3
-"""Number of writes per setting. The drive does not confirm a write, and a possibly lost write is repeated."""
+"""Number of writes per setting. The drive does not confirm a write, and a write may be lost."""
 UNANSWERED_READS = 3
-"""Number of reads without text after which a request counts as unanswered, at any control rate."""
+"""Number of reads without text that are necessary, at any control rate, before a request counts as unanswered."""
 LONGEST_LINE = 128
-"""Length of text without an end of line above which the text belongs to another host [bytes]."""
+"""Length above which a text without an end of line counts as an answer to another host [bytes]."""
 
 
 class MoteusSetting(NamedTuple):
-    """Setting with its required value.
+    """Setting of a drive with the required value.
 
     Attributes:
         name: name of the configuration item, or of the register.
-        value: required value.
+        value: required value of the setting.
         register: number of the register, 0 for a configuration item.
     """
 
@@ -43,20 +43,21 @@ class MoteusSetting(NamedTuple):
 
 
 CONFIGURATION = (
-    # Beyond these positions the drive would reduce the torque. The default is 0.01 turns.
+    # Beyond the positions of these items the drive would reduce the torque. Their default is 0.01
+    # turns.
     MoteusSetting("servopos.position_min", math.nan),
-    # Torque limits do not act in this mode.
+    # Torque limits have no effect in this mode.
     MoteusSetting("servo.fixed_voltage_mode", 0.0),
-    # After a timeout of the watchdog the drive stops. By default it would damp, or hold its
-    # position.
+    # With 0, the drive stops when its watchdog fires. By default it would damp the motor, or hold
+    # its position.
     MoteusSetting("servo.timeout_mode", 0.0),
     MoteusSetting("servopos.position_max", math.nan),
 )
-"""Configuration items, read again while the drive is enabled.
+"""Configuration items also read while the drive is enabled.
 
-Torque limit and watchdog need no repeated read-back, because every command carries both. After a
-restart the items have their defaults. One of two consecutive items has a default that differs from
-the required value, so a restart is found by at most two reads.
+Torque limit and watchdog need no repeated read-back, because every command contains both. After a
+restart of the drive, the items have their defaults. Of two consecutive items, at least one has a
+default that is not the required value. At most two reads therefore detect a restart.
 """
 
 
@@ -75,12 +76,12 @@ def required_settings(torque: float, timeout_s: float) -> tuple[MoteusSetting, .
 
 
 def rounded_to_float32(value: float) -> float:
-    """Return a value rounded to float32 precision."""
+    """Return a value rounded to the precision of a float32."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
 def read_request(setting: MoteusSetting) -> bytes:
-    """Return the text command that reads a configuration item."""
+    """Return the text command to read a configuration item."""
     return f"conf get {setting.name}\n".encode()
 
 
@@ -90,7 +91,7 @@ def write_request(setting: MoteusSetting) -> bytes:
 
 
 def value_in_answer(line: bytes) -> float | None:
-    """Return the number in an answer, or None for any other text."""
+    """Return the number in an answer of the drive, or None if the answer is no number."""
     try:
         return float(line)
     except ValueError:
@@ -102,9 +103,9 @@ class Channel(NamedTuple):
 
     Attributes:
         empty: True if no text of an earlier request can still arrive.
-        asked_ns: time of the open request [ns], -1 without one.
+        asked_ns: time at which the open request was sent [ns], -1 if no request is open.
         polls: number of reads for the answer of the open request.
-        text: part of the answer received so far.
+        text: part of the answer that has been received so far.
     """
 
     empty: bool = False
@@ -113,7 +114,7 @@ class Channel(NamedTuple):
     text: bytes = b""
 
     def ask(self, command: bytes, t_ns: int) -> tuple["Channel", bytes]:
-        """Return the channel and the next payload: the request, or a read that first empties the channel."""
+        """Return the next channel and the next payload: the request, or a read that empties the channel first."""
         if not self.empty:
             return Channel(), codec.TEXT_REQUEST
         return Channel(True, t_ns), codec.text_request(command)
@@ -124,11 +125,11 @@ class Channel(NamedTuple):
         return 0 <= self.asked_ns < t_ns and not late
 
     def poll(self) -> tuple["Channel", bytes]:
-        """Return the channel and the payload that reads an answer."""
+        """Return the next channel, and the payload that reads the answer of the open request."""
         return self._replace(polls=self.polls + 1), codec.TEXT_REQUEST
 
     def take(self, text: bytes) -> tuple["Channel", bytes]:
-        """Return the channel and the first complete line of an answer, empty if no line is complete."""
+        """Return the next channel, and the first complete line of the answer, empty if no line is complete."""
         if self.asked_ns < 0:
             return self._replace(empty=not text), b""
         line, end, _ = (self.text + text).partition(b"\n")

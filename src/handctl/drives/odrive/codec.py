@@ -1,6 +1,7 @@
-"""Frames of ODrive CANSimple, firmware 0.6.x: identifiers, bytes <-> values, errors in words.
+"""Conversion of the CANSimple frames of ODrive firmware 0.6.x between bytes and values, and errors in words.
 
-Identifier, 11 bits: node number in bits 10..5, command in bits 4..0. Payloads are little-endian.
+An identifier has 11 bits: the node number in bits 10..5, the command in bits 4..0. Payloads are
+little-endian. An empty field (-) means that the message has no such bytes.
 
     command   name                     to     bytes 0..3                   bytes 4..7
     0x00      Get_Version              host   protocol 8, hardware 3 x 8   firmware 3 x 8, unreleased 8
@@ -20,8 +21,8 @@ Identifier, 11 bits: node number in bits 10..5, command in bits 4..0. Payloads a
     0x18      Clear_Errors             drive  -                            -
     0x1C      Get_Torques              host   target float32 [N m]         estimate float32 [N m]
 
-All values are at the motor's shaft. A remote frame with the identifier of a Get message requests
-the message. Source: ODrive documentation, "CAN Protocol", and the vendor's DBC
+All values refer to the motor's shaft. A remote frame with the identifier of a Get message requests
+this message. Source: ODrive documentation, "CAN Protocol", and the vendor's DBC
 ``odrive-cansimple`` 0.6.10.
 """
 
@@ -32,7 +33,7 @@ from typing import NamedTuple
 from handctl.drives.frame import REMOTE
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
-# Commands, the low five bits of an identifier.
+# Command numbers, the low five bits of an identifier.
 GET_VERSION = 0x00
 HEARTBEAT = 0x01
 ESTOP = 0x02
@@ -52,33 +53,33 @@ TORQUES = 0x1C
 COMMANDS = frozenset(
     (ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, SET_POSITION, SET_VELOCITY, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS)
 )
-"""Numbers of commands sent only by hosts. 0x0C and 0x0D set position and velocity, 0x16 reboots."""
+"""Numbers of commands that only a host sends. 0x16 reboots the drive."""
 REQUESTABLE = frozenset((GET_VERSION, ADDRESS, ENCODER_ESTIMATES, TEMPERATURE, TORQUES))
-"""Messages requested by a remote frame."""
+"""Numbers of messages requested with a remote frame."""
 ANSWERS = REQUESTABLE | {HEARTBEAT, TX_SDO}
-"""Messages of the drive."""
+"""Numbers of messages sent by the drive."""
 LAST_NODE = 0x3E
-"""Largest node number. 0x3F is the broadcast."""
+"""Largest node number. 0x3F is the broadcast to all nodes."""
 ENCODER_MS = 10
-"""Factory setting of the period of the cyclic position [ms]."""
+"""Period with which a drive with factory settings sends its position [ms]."""
 PROTOCOL = 2
-"""Supported version of CANSimple."""
-# Axis states.
+"""Version of CANSimple supported by handctl."""
+# Axis states of a drive.
 IDLE = 1
 CLOSED_LOOP = 8
-# Control mode and input mode of Set_Controller_Mode.
+# Control modes and the input mode in Set_Controller_Mode.
 TORQUE_MODE = 1
 VELOCITY_MODE = 2
 POSITION_MODE = 3
 PASSTHROUGH = 1
-# Results of the last procedure.
+# Results of the last procedure in a heartbeat.
 SUCCESS = 0
 BUSY = 1
 # Opcodes of RxSdo.
 SDO_READ = 0
 SDO_WRITE = 1
 MAX_FLOAT32 = 3.4028234663852886e38
-"""Largest float32."""
+"""Largest finite value of a float32."""
 
 ERRORS = {
     0: "initializing", 1: "system level", 2: "timing", 3: "missing estimate", 4: "bad configuration",
@@ -88,18 +89,18 @@ ERRORS = {
     16: "position limit violation", 24: "watchdog expired", 25: "emergency stop requested", 26: "spin-out",
     27: "brake resistor disarmed", 28: "thermistor disconnected", 30: "calibration error",
 }  # fmt: skip
-"""Errors by bit of Axis_Error."""
+"""Text of each error, by the bit in the errors of a heartbeat."""
 RESULTS = {
     2: "cancelled", 3: "disarmed", 4: "no response", 5: "pole pairs or counts per turn do not match",
     6: "phase resistance out of range", 7: "phase inductance out of range", 8: "unbalanced phases",
     9: "invalid motor type", 10: "illegal hall state", 11: "timeout", 12: "homing without end stop",
     13: "invalid state", 14: "not calibrated", 15: "not converging",
 }  # fmt: skip
-"""Results of a failed procedure."""
+"""Text of each result of a failed procedure."""
 
 
 class Heartbeat(NamedTuple):
-    """Heartbeat: errors as bits, axis state, result of the last procedure."""
+    """Content of a heartbeat: error bits, axis state, and result of the last procedure."""
 
     errors: int
     state: int
@@ -107,12 +108,12 @@ class Heartbeat(NamedTuple):
 
 
 def message_id(node_id: int, command: int) -> int:
-    """Return the identifier of a message."""
+    """Return the identifier of a message, from node number and command number."""
     return node_id << 5 | command
 
 
 def error_text(errors: int) -> str:
-    """Return the text for all set error bits. An undocumented bit appears with its number."""
+    """Return the texts of all set error bits. An undocumented bit appears with its number."""
     return ", ".join(ERRORS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)
 
 
@@ -124,7 +125,7 @@ def result_text(result: int) -> str:
 def _float_signal(
     name: str, quantity: Quantity, first: int, scale: float, offset: float = 0.0, unit: str = ""
 ) -> Signal:
-    """Return a float32 signal that begins at a byte."""
+    """Return the description of a float32 signal that begins at byte ``first``."""
     return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
 
 
@@ -133,11 +134,14 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
 
     Args:
         node_id: node number of the drive.
-        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
-        zero: angle at the shaft of the spool's zero [rad].
-        requested: True if every tick requests the message. The drive also sends it by itself, every 10 ms by default.
+        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+            tendon.
+        zero: angle of the shaft at spool angle zero [rad].
+        requested: True if every tick requests the message. The drive also sends it by itself, by
+            default every 10 ms.
     """
-    # A shaft turn is tau / ratio at the spool. A negative ratio reverses the sign.
+    # One turn of the shaft is an angle of tau / ratio at the spool. A negative ratio reverses the
+    # sign.
     turn = math.tau / ratio
     return Message("encoder_estimates", message_id(node_id, ENCODER_ESTIMATES), 8, (
         _float_signal("position", Quantity.POSITION, 0, turn, -zero / ratio, "rad"),
@@ -146,13 +150,14 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
 
 
 def torques_message(node_id: int, ratio: float) -> Message:
-    """Return the signal table of Get_Torques: target and estimate [N m] at the shaft.
+    """Return the signal table of Get_Torques: commanded and estimated torque of the shaft [N m].
 
-    The controller uses the estimate.
+    The controller uses only the estimated torque.
 
     Args:
         node_id: node number of the drive.
-        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+            tendon.
     """
     return Message("torques", message_id(node_id, TORQUES), 8, (
         _float_signal("target", Quantity.UNUSED, 0, ratio, 0.0, "N m"),
@@ -161,26 +166,28 @@ def torques_message(node_id: int, ratio: float) -> Message:
 
 
 def torque_message(node_id: int, ratio: float, limit: float) -> Message:
-    """Return the signal table of Set_Input_Torque [N m] at the shaft.
+    """Return the signal table of Set_Input_Torque: torque of the shaft [N m].
 
     Args:
         node_id: node number of the drive.
-        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
-        limit: largest torque [N m at the spool].
+        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+            tendon.
+        limit: largest torque command [N m at the spool].
     """
-    # Torque at the spool = ratio * torque at the shaft.
+    # The torque at the spool is ratio * torque at the shaft.
     signal = _float_signal("torque", Quantity.TORQUE, 0, ratio, 0.0, "N m")
     return Message("input_torque", message_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
 
 
 def position_message(node_id: int, ratio: float, zero: float, limit: float) -> Message:
-    """Return Set_Input_Pos without feedforward.
+    """Return the signal table of Set_Input_Pos, without feedforward of velocity and torque.
 
     Args:
         node_id: node number of the drive.
-        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
-        zero: angle at the shaft of the spool's zero [rad].
-        limit: largest position [rad at the spool].
+        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+            tendon.
+        zero: angle of the shaft at spool angle zero [rad].
+        limit: largest position command [rad at the spool].
     """
     signals = (
         _float_signal("position", Quantity.POSITION, 0, math.tau / ratio, -zero / ratio, "rad"),
@@ -191,12 +198,13 @@ def position_message(node_id: int, ratio: float, zero: float, limit: float) -> M
 
 
 def velocity_message(node_id: int, ratio: float, limit: float) -> Message:
-    """Return Set_Input_Vel without feedforward.
+    """Return the signal table of Set_Input_Vel, without feedforward of the torque.
 
     Args:
         node_id: node number of the drive.
-        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
-        limit: largest speed [rad/s at the spool].
+        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+            tendon.
+        limit: largest velocity command [rad/s at the spool].
     """
     signals = (
         _float_signal("velocity", Quantity.VELOCITY, 0, math.tau / ratio, 0.0, "rad/s"),
@@ -211,12 +219,12 @@ def request_message(node_id: int, command: int) -> Message:
 
 
 def decode_heartbeat(data: bytes) -> Heartbeat:
-    """Decode 8 bytes of a heartbeat."""
+    """Decode the 8 bytes of a heartbeat."""
     return Heartbeat(*struct.unpack_from("<IBB", data))
 
 
 def decode_float_pair(data: bytes) -> tuple[float, float] | None:
-    """Decode two float32, or return None unless both are finite."""
+    """Decode two float32 values. Return None if one of them is not finite."""
     first, second = struct.unpack("<ff", data)
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
@@ -230,20 +238,20 @@ def decode_hottest(data: bytes) -> float | None:
 
 
 def encode_floats(*values: float) -> bytes:
-    """Return a payload with float32 values.
+    """Return a payload with the values as float32.
 
     Raises:
         ValueError: a value is not finite, or too large for a float32.
     """
     for value in values:
-        # Negated, so that NaN is refused.
+        # The comparison is negated, so that it refuses NaN.
         if not abs(value) <= MAX_FLOAT32:
             raise ValueError(f"{value} cannot be sent, expected a finite number")
     return struct.pack(f"<{len(values)}f", *values)
 
 
 def encode_integers(*values: int) -> bytes:
-    """Return a payload with uint32 values."""
+    """Return a payload with the values as uint32."""
     return struct.pack(f"<{len(values)}I", *values)
 
 
@@ -253,5 +261,5 @@ def sdo_request(operation: int, endpoint: int, value: bytes = b"") -> bytes:
 
 
 def decode_sdo_reply(data: bytes) -> tuple[int, bytes]:
-    """Decode a TxSdo: endpoint and value."""
+    """Decode the payload of TxSdo. Return the endpoint and the bytes of its value."""
     return int.from_bytes(data[1:3], "little"), data[4:]

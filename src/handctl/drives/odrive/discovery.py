@@ -1,8 +1,8 @@
-"""Discovery of ODrives by heartbeats, and by the message Address, which one remote frame requests from all drives.
+"""Discovery of ODrives by their heartbeats, and by the message Address. One remote frame requests it from all drives.
 
-Remote frames have no payload, and no drive obeys them. Firmware 0.5.x also sends heartbeats, with
-other errors, and does not report version or serial number. Source: ODrive documentation, "CAN
-Protocol", and the vendor's DBC 0.5.6 and 0.6.10.
+Remote frames have no payload, and no drive obeys them. Firmware 0.5.x sends heartbeats too, but
+with other error codes. It reports neither its version nor its serial number. Source: ODrive
+documentation, "CAN Protocol", and the vendor's DBC 0.5.6 and 0.6.10.
 """
 
 import dataclasses
@@ -19,38 +19,38 @@ from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
 
-# Command and node number of the broadcast request.
+# Command number and node number of the request to all drives.
 ADDRESS = 0x06
 BROADCAST = 0x3F
 MIN_HEARTBEATS = 3
-"""Number of frames with the layout of a heartbeat from which a node counts as an ODrive.
+"""Number of frames with the layout of a heartbeat after which their sender counts as an ODrive.
 
-A single frame may be another message.
+A single such frame may be the message of another device.
 """
 IQ, BUS_VOLTAGE = 0x14, 0x17
-"""Messages sent by firmware 0.5 on request only, with factory settings."""
+"""Numbers of messages that firmware 0.5 with factory settings sends only on request."""
 _OLD_ANSWERS = (IQ, BUS_VOLTAGE)
 _ANSWERS_ONCE = (ADDRESS, codec.GET_VERSION, *_OLD_ANSWERS)
-"""Messages sent by a drive once per request of a scan."""
+"""Numbers of messages that a drive sends once for each request of a scan."""
 FREE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
-"""Node numbers whose identifiers do not overlap those of CANopen's predefined connection set and of the sensor node.
+"""Node numbers whose identifiers differ from those of the predefined connection set of CANopen and of the sensor node.
 
 Source: CiA 301, predefined connection set.
 """
 OLD_FIRMWARE_NOTE = "does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"
-"""Warning for a drive that did not answer Get_Version."""
+"""Warning for a drive that has not answered Get_Version."""
 _STATES = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
 """Axis states in words."""
 _CYCLIC = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
-"""Numbers of messages sent by a drive without a request."""
+"""Numbers of messages that a drive can send without a request."""
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round.
+    """Return the requests of a round of the scan.
 
-    Round 1 requests Address of all nodes, round 2 the version of discovered nodes. Round 3 repeats
-    the request to drives whose version is missing, and requests two messages of firmware 0.5 from
-    them.
+    Round 1 requests the message Address from all nodes. Round 2 requests the version of the
+    discovered drives. Round 3 repeats this request to drives that have not reported a version. It
+    also requests two messages of firmware 0.5 from these drives.
     """
     if turn == 1:
         return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE, b""),)
@@ -70,7 +70,7 @@ def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
 
 
 def drives_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the senders of ODrive heartbeats and of answers to Address."""
+    """Return the discovered drives: nodes that have sent ODrive heartbeats, or the message Address."""
     messages = {command: _payloads_by_node(received, command) for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)}
     present = {
         node
@@ -85,7 +85,10 @@ def drives_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
-    """Return the discovered drive with its data, from its messages by command number."""
+    """Return a discovered drive with all data.
+
+    ``messages`` has the payloads from the drive, by command number.
+    """
     latest = {command: payloads[-1] for command, payloads in messages.items()}
     beat = codec.decode_heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
     serial = f"{int.from_bytes(latest[ADDRESS][1:7], 'little'):012X}" if ADDRESS in latest else ""
@@ -112,7 +115,7 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
 
 
 def _warnings_06(serial: str, version: bytes) -> list[str]:
-    """Return the warnings for a drive of firmware 0.6."""
+    """Return the warnings for the operator about a drive with firmware 0.6."""
     notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
     if not version:
         notes.append("does not report its version")
@@ -124,7 +127,7 @@ def _warnings_06(serial: str, version: bytes) -> list[str]:
 
 
 def without_firmware(drive: DiscoveredNode) -> DiscoveredNode:
-    """Return the drive for a scan that did not request its version: the firmware is unknown."""
+    """Return the drive with unknown firmware, for a scan that has sent no requests."""
     if "firmware" not in drive.origins:
         return drive
     notes = tuple(
@@ -134,7 +137,10 @@ def without_firmware(drive: DiscoveredNode) -> DiscoveredNode:
 
 
 def _payloads_by_node(received: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
-    """Return the payloads of one message by node number. Address of older firmware has 7 bytes."""
+    """Return the payloads of one message, by node number.
+
+    Older firmware sends Address with 7 bytes.
+    """
     by_node: dict[int, list[bytes]] = {}
     for frame in received:
         is_standard = not frame.can_id & (EXTENDED | REMOTE | ERROR) and not frame.flags & FDF
@@ -150,20 +156,23 @@ def _payloads_by_node(received: ReceivedFrames, command: int) -> dict[int, list[
 def _is_heartbeat(data: bytes) -> bool:
     """Return True if 8 bytes have the layout of a heartbeat.
 
-    State and result must be documented values. In byte 7 only the two flags of firmware 0.5 may be
-    set.
+    State and result must have documented values. In byte 7, only the two flags of firmware 0.5 may
+    be set.
     """
     _, state, result = struct.unpack_from("<IBB", data)
     return 1 <= state <= 14 and result <= 15 and not data[7] & 0x7E
 
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
-    """Return every identifier of the node and of the broadcast, and 0x7ff, Enter_DFU_Mode."""
+    """Return all identifiers of the node and of the broadcast.
+
+    They include 0x7ff, which is Enter_DFU_Mode.
+    """
     return frozenset(codec.message_id(node, command) for node in (drive.node_id, BROADCAST) for command in range(32))
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the received frames that are commands to the discovered nodes."""
+    """Return the received frames that only another host can have sent to the discovered drives."""
     numbers = {drive.node_id for drive in drives_in(received)}
     return tuple(
         frame
@@ -174,19 +183,22 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def ping(drive: DiscoveredNode) -> Frame:
-    """Return the remote frame that requests a message which the drive rarely sends by itself."""
+    """Return a remote frame to a drive.
+
+    It requests a message that the drive rarely sends by itself.
+    """
     return _remote_request(drive, _ping_command(drive))
 
 
 def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame is the message that ``ping`` requests."""
+    """Return True if the frame is the message that ``ping`` requests from this drive."""
     return frame.can_id == codec.message_id(drive.node_id, _ping_command(drive)) and len(frame.data) == 8
 
 
 def _ping_command(drive: DiscoveredNode) -> int:
-    """Return the command number that ``ping`` requests.
+    """Return the number of the message that ``ping`` requests from a drive.
 
-    Firmware 0.6 reports its version. Firmware 0.5 has no version message, so bus voltage and
+    Firmware 0.6 can report its version. Firmware 0.5 has no such message, so its bus voltage and
     current are requested.
     """
     return BUS_VOLTAGE if drive.options.get("firmware") == "0.5" else codec.GET_VERSION

@@ -1,10 +1,10 @@
-"""ODrive (firmware 0.6.x or 0.5.x) on CANSimple: from its heartbeat to torque, and back to idle.
+"""State machine to configure, enable, and disable an ODrive with CANSimple.
 
 A remote frame in every tick requests the position, so that position and command have the same age.
-With the option ``encoder_period_ms`` the host uses the messages that the drive sends periodically
-instead. The commands of CANSimple cannot read back mode and limits, and cannot set the watchdog.
-Both are possible by SDO access to the endpoints of ``settings``. Only a heartbeat reports the state
-of the drive.
+With the option ``encoder_period_ms``, the host uses the position messages that the drive sends
+periodically instead. CANSimple has no message that reads back mode and limits, or that sets the
+watchdog. The host reads and writes the watchdog and the torque limit by SDO instead, at the
+endpoints of ``settings``. Only a heartbeat reports the state of the drive.
 """
 
 import math
@@ -45,25 +45,26 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 @dataclass(frozen=True, slots=True)
 class OdriveDrive:
-    """Motor on an ODrive. Implements ``contract.Drive``.
+    """Motor on an ODrive, with the interface ``contract.Drive``.
 
     Attributes:
-        name: name of the motor.
-        bus: index of the bus.
-        node_id: 1 to 0x3e.
+        name: name of the motor in the hand file.
+        bus: index of the bus of the drive.
+        node_id: node number, from 1 to 0x3e.
         torque_limit: largest torque command [N m at the spool].
         ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
-            motor unwinds.
-        zero: angle at the shaft of the spool's zero [rad].
-        limits: payload of Set_Limits: velocity [turn/s], current [A].
-        settings: settings to verify by SDO.
-        cyclic_s: period of the drive's own messages [s], 0 to request position in every tick.
-        torque_feedback: True to request torque in every tick.
-        heartbeat_timeout_ns: longest time without a heartbeat [ns].
-        firmware_05: True for firmware 0.5, see ``firmware_05``.
-        command: signal table of the command, from the fields above.
-        encoder: signal table of the position, from the fields above.
-        torques: signal table of the torque, from the fields above.
+            motor unwinds the tendon.
+        zero: angle of the shaft at spool angle zero [rad].
+        limits: payload of the message Set_Limits, with velocity [turn/s] and current [A].
+        settings: settings verified by SDO.
+        cyclic_s: period of the drive's unrequested position messages [s], 0 to request the position
+            in every tick.
+        torque_feedback: True to request the torque in every tick.
+        heartbeat_timeout_ns: time without a heartbeat after which the drive counts as lost [ns].
+        firmware_05: True for firmware 0.5, see the module ``firmware_05``.
+        command: signal table of the command, built from the fields above.
+        encoder: signal table of the position, built from the fields above.
+        torques: signal table of the torque feedback, built from the fields above.
     """
 
     name: str
@@ -91,10 +92,10 @@ class OdriveDrive:
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "OdriveDrive":
-        """Return the drive of a motor description.
+        """Return the drive for a motor description.
 
         Raises:
-            ConfigError: an option unknown to CANSimple, or a node number beyond 0x3e.
+            ConfigError: an option is unknown or wrong, or the node number is not from 1 to 0x3e.
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}].options"
@@ -120,14 +121,15 @@ class OdriveDrive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: torque command, and the messages requested by remote frames."""
+        """Return the frames of a tick: torque command, remote frames, and the messages that these request."""
         return ((4, False), *(((0, False), (8, False)) * ((not self.cyclic_s) + self.torque_feedback)))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the periodic frames: heartbeat, cyclic position, temperature, and SDO transfers of the settings.
+        """Return frames with other rates: heartbeat, unrequested position, temperature, and SDO.
 
-        The drive sends the cyclic position by default, even if the host does not use it.
+        With factory settings the drive sends its position periodically, even if the host does not
+        use these messages.
         """
         temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_NS
         parsed = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
@@ -148,13 +150,13 @@ class OdriveDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of commands and remote frames, which only a host sends."""
+        """Return the identifiers of frames from a host to the drive: commands and remote frames."""
         commands = frozenset(codec.message_id(self.node_id, command) for command in codec.COMMANDS)
         return commands | {codec.message_id(self.node_id, command) | REMOTE for command in codec.REQUESTABLE}
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifiers of answers, heartbeat, and cyclic messages."""
+        """Return the identifiers of frames from the drive: answers, heartbeats, and cyclic messages."""
         return frozenset(codec.message_id(self.node_id, command) for command in codec.ANSWERS)
 
     @property
@@ -164,17 +166,17 @@ class OdriveDrive:
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return False, because the drive also sends cyclic messages."""
+        """Return False, because the drive also sends messages without a command."""
         return False
 
     @property
     def position_step(self) -> float:
-        """Return 0 (unknown): the drive does not report the encoder step."""
+        """Return 0 (unknown), because the drive does not report the resolution of its encoder."""
         return 0.0
 
     @property
     def feedback_period_s(self) -> float:
-        """Return the period of the drive's cyclic messages [s], 0 if every tick requests the position."""
+        """Return the period of the drive's unrequested position messages [s], 0 if every tick requests it."""
         return self.cyclic_s
 
     @property
@@ -185,11 +187,14 @@ class OdriveDrive:
         return Cyclic((self.encoder.message, self.torques.message), (self.command.message, *questions))
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0, because frames with values have no status. Only a heartbeat reports the state."""
+        """Return 0, because frames with values have no status.
+
+        Only a heartbeat reports the state of the drive.
+        """
         return 0 if state.phase == ENABLED and progress_of(state).disabling_ns < 0 else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the next event [ns]: heartbeat timeout, temperature request, or read-back."""
+        """Return the time of the next step that is due [ns]: heartbeat timeout, temperature request, or read-back."""
         progress = progress_of(state)
         temperature_rate = END_OF_TIME_NS if self.firmware_05 else progress.temperature_request_ns + TEMPERATURE_NS
         recheck = progress.check.due_ns if self.settings else END_OF_TIME_NS
@@ -200,15 +205,16 @@ class OdriveDrive:
         )
 
     def initial(self) -> DriveState:
-        """Return the state before the first frame."""
+        """Return the state of the drive before the first frame."""
         return DriveState(private=OdriveProgress(version=self.firmware_05))
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after one received frame, see ``contract.Drive``."""
+        """Return the state after a received frame, see ``contract.Drive``."""
         command = frame.can_id & 0x1F
         if frame.bus != self.bus or frame.can_id >> 5 != self.node_id or command not in codec.ANSWERS:
             return state
-        # TxSdo has at least one byte of value. Address has 7 bytes before firmware 0.6.11.
+        # A TxSdo contains at least one byte of the value. The message Address has 7 bytes before
+        # firmware 0.6.11.
         shortest = {codec.TX_SDO: 5, codec.ADDRESS: 7}.get(command, 8)
         if not shortest <= len(frame.data) <= 8:
             return state._replace(misread=state.misread + 1)
@@ -223,7 +229,7 @@ class OdriveDrive:
         return self._on_values(state, command, frame)
 
     def _on_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
-        """Update the state with position and velocity, torque, or temperatures from a frame."""
+        """Return the state with the values in a frame: position and velocity, torque, or temperatures."""
         if command == codec.TEMPERATURE and (hottest := codec.decode_hottest(frame.data)) is not None:
             return state._replace(temperature=hottest)
         table = self.torques if command == codec.TORQUES else self.encoder
@@ -240,7 +246,7 @@ class OdriveDrive:
         )
 
     def _on_version(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after the message with the protocol version."""
+        """Return the state after the message Get_Version, with the protocol version."""
         if state.phase not in (SILENT, CONFIGURING):
             return state
         if data[0] != codec.PROTOCOL:
@@ -250,14 +256,14 @@ class OdriveDrive:
         )
 
     def _on_serial(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after an Address message: node number, then 48 bits of serial number."""
+        """Return the state after the message Address, with the node number and a serial number of 48 bits."""
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")
         return state._replace(private=progress_of(state)._replace(serial=serial, serial_requests=SERIAL_NUMBER_TRIES))
 
     def _on_setting(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after a TxSdo during configuration."""
+        """Return the state after a TxSdo with the value of a setting."""
         progress = progress_of(state)
         if state.phase == ENABLED and progress.check.waiting:
             return self._on_recheck_reply(state, progress, data)
@@ -268,7 +274,7 @@ class OdriveDrive:
         return to_fault(updated, MISMATCH, problem) if problem else updated
 
     def _on_recheck_reply(self, state: DriveState, progress: OdriveProgress, data: bytes) -> DriveState:
-        """Compare the value of a setting, read again while the drive is enabled, with the required value."""
+        """Compare a setting, read again from the enabled drive, with the required value."""
         setting = self.settings[progress.check.step]
         endpoint, raw = codec.decode_sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
@@ -310,10 +316,10 @@ class OdriveDrive:
         return self._configure(state._replace(phase=SILENT if progress.heartbeat_ns < 0 else CONFIGURING), t_ns)
 
     def _ready(self, state: DriveState, t_ns: int, target: DriveTarget) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and frames of a configured drive: request feedback, and enable it if requested.
+        """Return the next state and the frames for a configured drive: request feedback, and enable it if requested.
 
-        The enable command is sent once, and 0 N m follow. A repeated enable command would enable a
-        drive that has restarted.
+        The enable command is sent once. Torque commands of 0 N m follow, until the drive reports
+        the state enabled. A repeated enable command would also enable a drive that has restarted.
         """
         state, requests = self._questions(state, t_ns)
         progress = progress_of(state)
@@ -333,7 +339,10 @@ class OdriveDrive:
         )  # fmt: skip
 
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Do one step of the configuration: idle, version, serial number, endpoints, mode and limits."""
+        """Do one step of the configuration.
+
+        The steps are idle, version, serial number, endpoints, mode and limits.
+        """
         progress = progress_of(state)
         if progress.axis > codec.IDLE:
             text = f"in axis state {progress.axis} without a command, and does not go idle"
@@ -352,11 +361,11 @@ class OdriveDrive:
     def _next_setting(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the request that reads or writes the next endpoint.
+        """Return the next state, and the request to read or write the next endpoint.
 
-        The position of a drive with earlier feedback is requested as well. Settings are verified
-        again before an enable command. Meanwhile the position is requested, because a silent drive
-        is a fault while other drives are enabled.
+        If the drive has already sent feedback, its position is requested too. Settings are verified
+        again before an enable command. A drive that is silent meanwhile would be a fault, because
+        other drives may be enabled.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         updated = state._replace(private=progress._replace(cursor=cursor))
@@ -366,9 +375,9 @@ class OdriveDrive:
         return updated, (*((self._frame(codec.RX_SDO, data),) if data else ()), *requests)
 
     def _setup(self) -> tuple[Frame, ...]:
-        """Return the frames that set mode and limits.
+        """Return the frames that set control mode and limits.
 
-        No answer confirms them, so both are sent before each enable command.
+        The drive does not confirm them, so both are sent before each enable command.
         """
         mode = self._frame(codec.SET_MODE, codec.encode_integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
         return mode, self._frame(codec.SET_LIMITS, self.limits)
@@ -376,7 +385,10 @@ class OdriveDrive:
     def _ask_version(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the frame that requests the version or clears errors, at most once per ``REPEAT_NS``."""
+        """Return the next state, and a frame that requests the version or clears errors.
+
+        The frame is sent at most once per ``REPEAT_NS``.
+        """
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
         if progress.heartbeat_ns >= 0 and progress.tries >= VERSION_TRIES:
@@ -388,14 +400,14 @@ class OdriveDrive:
     def _ask_serial(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the serial number a few times. Early versions of firmware 0.6 do not answer."""
+        """Request the serial number at most a few times, because early versions of firmware 0.6 do not answer."""
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
         requests = progress._replace(sent_ns=t_ns, serial_requests=progress.serial_requests + 1)
         return state._replace(private=requests), (self._ask(codec.ADDRESS),)
 
     def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the remote frames of a tick."""
+        """Return the next state, and the remote frames to request feedback in a tick."""
         frames = [self._ask(codec.ENCODER_ESTIMATES)] * (not self.cyclic_s) + [
             self._ask(codec.TORQUES)
         ] * self.torque_feedback
@@ -406,7 +418,7 @@ class OdriveDrive:
         return state, tuple(frames)
 
     def _next_recheck(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next read-back request for the enabled drive, if its time has come."""
+        """Return the next state, and the next read-back request to the enabled drive if due."""
         progress = progress_of(state)
         if not self.settings or t_ns < progress.check.due_ns:
             return state, ()
@@ -425,15 +437,18 @@ class OdriveDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def _rest(self, state: DriveState) -> float:
-        """Return the command of a drive that is being enabled: no torque."""
+        """Return the command to a drive that is being enabled: zero torque."""
         return 0.0
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame, because the watchdog of a disabled drive is inactive."""
+        """Return no frames, because the watchdog of a disabled drive is not active."""
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number (48 bits), or the node number for firmware 0.5 and early 0.6."""
+        """Return the serial number, or the node number if it is unknown.
+
+        Firmware 0.5 and early versions of 0.6 do not report a serial number.
+        """
         return f"{serial:012X}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
@@ -441,15 +456,21 @@ class OdriveDrive:
         return cause_of_error(error)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return the frame Set_Input_Torque [N m at the spool]. It does not enable the drive."""
+        """Return the frame of a torque command [N m at the spool].
+
+        The frame does not enable the drive.
+        """
         return (self._torque(torque),)
 
     def cut(self) -> tuple[Frame, ...]:
-        """Return the frame Estop, which disarms the drive and latches an error."""
+        """Return the frame Estop, after which the drive is disabled and latches an error."""
         return (self._frame(codec.ESTOP, b""),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state that clears the latched error and begins again with the version request."""
+        """Return the state and the frames that clear the latched error.
+
+        The configuration then starts again.
+        """
         just_verified = OdriveProgress(version=self.firmware_05, axis=progress_of(state).axis, clearing=CLEAR_TRIES)
         cleared = state._replace(phase=SILENT, error=0, error_text="", private=just_verified)
         return cleared, (self._frame(codec.CLEAR_ERRORS, b""),)
@@ -459,7 +480,7 @@ class OdriveDrive:
         return self._frame(codec.SET_AXIS_STATE, codec.encode_integers(state))
 
     def _frame(self, command: int, data: bytes) -> Frame:
-        """Return a data frame to the drive."""
+        """Return a data frame to the drive, with the given command number and payload."""
         return Frame(codec.message_id(self.node_id, command), data, 0, self.bus)
 
     def _ask(self, command: int) -> Frame:

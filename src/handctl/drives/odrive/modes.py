@@ -1,8 +1,8 @@
-"""ODrive in position or velocity control with the input mode passthrough.
+"""ODrive that controls its position or velocity itself, with the input mode passthrough.
 
-The host sends a ramp, so the drive needs no trajectory of its own. Set_Limits contains the largest
-speed. No answer of CANSimple confirms mode and limits, so both precede each enable command. The
-endpoints of watchdog and torque limit are read back as in torque control.
+The host sends a ramp, so the drive needs no trajectory generator. The message Set_Limits contains
+the largest speed. The drive does not confirm mode and limits, so both are sent before each enable
+command. The endpoints of watchdog and torque limit are read back as in torque control.
 """
 
 import math
@@ -18,14 +18,14 @@ from handctl.drives.signals import Table
 from handctl.errors import ConfigError
 
 _CONTROL = {DriveMode.POSITION: codec.POSITION_MODE, DriveMode.VELOCITY: codec.VELOCITY_MODE}
-"""Control mode in Set_Controller_Mode for each mode."""
+"""Value of the control mode in Set_Controller_Mode for each mode."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdriveModeDrive(OdriveDrive):
-    """One motor whose command is a position [rad] or a velocity [rad/s] at the spool.
+    """Motor on an ODrive whose command is a position [rad] or a velocity [rad/s] at the spool.
 
-    ``torque_limit`` is the largest command.
+    ``torque_limit`` is the largest command in this unit.
 
     Attributes:
         mode: quantity that the drive controls.
@@ -43,9 +43,9 @@ class OdriveModeDrive(OdriveDrive):
         object.__setattr__(self, "command", Table(message))
 
     def _setup(self) -> tuple[Frame, ...]:
-        """Return the frames that set mode and limits.
+        """Return the frames that set control mode and limits.
 
-        No answer confirms these frames, as in torque control.
+        The drive does not confirm these frames, as in torque control.
         """
         mode = self._frame(codec.SET_MODE, codec.encode_integers(_CONTROL[self.mode], codec.PASSTHROUGH))
         return mode, self._frame(codec.SET_LIMITS, self.limits)
@@ -62,15 +62,15 @@ class OdriveModeDrive(OdriveDrive):
         return self.mode.rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frame, because a torque is only a feedforward in this mode."""
+        """Return no frames, because a torque is only a feedforward in this mode."""
         return ()
 
 
 def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> OdriveModeDrive:
-    """Return the drive of a motor description in a mode.
+    """Return the drive for a motor description, in the given mode.
 
     Raises:
-        ConfigError: an option unknown to CANSimple, or a mode that an ODrive does not have.
+        ConfigError: an option is unknown or wrong, or an ODrive does not have the mode.
     """
     if mode not in _CONTROL:
         raise ConfigError(mode.value, "mode", "position, velocity or torque for an ODrive")

@@ -1,4 +1,4 @@
-"""Options of an ODrive in the hand file."""
+"""Options of a motor with an ODrive in the hand file."""
 
 from collections.abc import MutableMapping
 from typing import Any, NamedTuple
@@ -9,21 +9,21 @@ from handctl.drives.option_checks import checked_positive, checked_whole_number
 from handctl.errors import ConfigError
 
 MAX_OPTION_VALUE = 1000
-"""Largest accepted ratio, current [A], and period [ms]."""
+"""Largest accepted value of a ratio, a current [A], and a period [ms]."""
 OPTION_NAMES = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, firmware, torque_feedback or endpoint_..."
-"""Option names, for messages."""
+"""Names of the options, for error messages."""
 
 
 class Options(NamedTuple):
-    """Values of the options.
+    """Values of the options of a motor with an ODrive.
 
     Attributes:
         ratio: turns of the motor's shaft per turn of the spool.
-        current: current limit [A].
-        heartbeat: period of the heartbeat [ms].
-        torque_feedback: True to request torque in every tick.
-        cyclic_s: period of the drive's cyclic messages [s], 0 to request the position in every
-            tick.
+        current: current limit of the drive [A].
+        heartbeat: period of the heartbeats [ms].
+        torque_feedback: True to request the torque in every tick.
+        cyclic_s: period of the drive's unrequested position messages [s], 0 to request the position
+            in every tick.
         firmware_05: True for firmware 0.5.
     """
 
@@ -36,14 +36,14 @@ class Options(NamedTuple):
 
 
 def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
-    """Read the options and remove their keys. The keys of endpoints remain.
+    """Return the values of the options, and remove their keys. The keys of endpoints remain.
 
     Args:
-        options: options of the motor.
-        where: key path of the options.
+        options: options of the motor, modified in place.
+        where: key path of the options, for error messages.
 
     Raises:
-        ConfigError: an invalid value, or an option unknown to the firmware.
+        ConfigError: a value is invalid, or the firmware does not have an option.
     """
     firmware = options.pop("firmware", FIRMWARE[0])
     feedback = options.pop("torque_feedback", False)

@@ -1,4 +1,7 @@
-"""Progress of an ODrive between frames, and the effect of its heartbeat, which is the only report of its state."""
+"""Progress of the state machine of an ODrive, and the effect of heartbeats.
+
+Only they report the state of the drive.
+"""
 
 from typing import NamedTuple, cast
 
@@ -11,7 +14,7 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHER_HOST, LOST = (1 << 32 | number for number in range(5))
-"""Error codes added by handctl, above the drive's 32 bits."""
+"""Error codes added by handctl. All are larger than the 32 error bits of the drive."""
 CAUSES = {
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, REFUSED: Cause.OTHER,
     ENABLED_BY_OTHER_HOST: Cause.MISMATCH, LOST: Cause.LOST,
@@ -20,45 +23,46 @@ CAUSES = {
 CAUSES_OF_BITS = {
     8: Cause.VOLTAGE, 9: Cause.VOLTAGE, 11: Cause.VOLTAGE, 13: Cause.HOT, 14: Cause.HOT, 24: Cause.WATCHDOG,
 }  # fmt: skip
-"""Cause of each error bit of the heartbeat."""
-# Time between repeated requests, and between temperature requests [ns].
+"""Cause of error bits in a heartbeat. All other bits have the cause OTHER."""
+# Time after which a request is repeated, and time between two temperature requests [ns].
 REPEAT_NS = 20_000_000
 TEMPERATURE_NS = 200_000_000
-# Number of requests for the version, of heartbeats that may still show a cleared error, and of
-# requests for the serial number.
+# Number of requests for the version, number of heartbeats that may still show a cleared error, and
+# number of requests for the serial number.
 VERSION_TRIES = 10
 CLEAR_TRIES = 3
 SERIAL_NUMBER_TRIES = 3
 ENABLE_COMMANDS = 5
-"""Number of enable commands without success after which the drive is in fault."""
+"""Number of enable commands without effect after which the drive is in fault."""
 MAX_MISSED_HEARTBEATS = 3.5
-"""Number of periods without a heartbeat after which the drive counts as lost."""
+"""Number of heartbeat periods without a heartbeat after which the drive counts as lost."""
 SETTLE_NS = 5_000_000
-"""Time after a command in which a heartbeat may still be older than the command [ns]."""
+"""Time after a command in which a received heartbeat may still be older than the command [ns]."""
 
 
 class OdriveProgress(NamedTuple):
     """State of the ODrive state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        version: True if the protocol version is the supported one.
-        serial: serial number, 0 if unknown.
+        version: True if the drive has reported the protocol version supported by handctl.
+        serial: serial number of the drive, 0 if unknown.
         serial_requests: number of requests for the serial number. ``SERIAL_NUMBER_TRIES`` means
-            that the drive has answered or that no more requests are sent.
+            that no more requests are sent, because the drive has answered or does not answer.
         cursor: position in the list of endpoints to read back.
-        configured: True if mode and limits were sent.
-        axis: latest axis state.
+        configured: True if control mode and limits were sent.
+        axis: axis state in the latest heartbeat.
         heartbeat_ns: time of the latest heartbeat [ns], -1 before the first.
-        enable_sent_ns: time of the enable command [ns], -1 without one.
-        disabling_ns: time of the first disable command [ns], -1 without one.
-        sent_ns: time of the latest repeated request [ns].
-        tries: number of requests of that kind so far.
+        enable_sent_ns: time of the latest enable command [ns], -1 if none was sent.
+        disabling_ns: time of the first disable command [ns], -1 if none was sent.
+        sent_ns: time of the latest request for version or serial number [ns].
+        tries: number of requests for the version so far.
         temperature_request_ns: time of the latest temperature request [ns].
-        clearing: heartbeats left to ignore while the error is being cleared.
-        just_verified: True if all settings were verified in the last tick. The drive cannot have
-            restarted since then.
-        enable_commands: number of enable commands without success.
-        check: position in the read-back repeated while enabled.
+        clearing: number of heartbeats with an error still to be ignored, while the error is being
+            cleared.
+        just_verified: True if all settings were verified in the last tick. The drive has had no
+            time to restart since then.
+        enable_commands: number of enable commands not obeyed by the drive.
+        check: position in the repeated read-back of the enabled drive.
     """
 
     version: bool = False
@@ -80,22 +84,22 @@ class OdriveProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if an enable command was sent, or if the axis state is above idle."""
+        """Return True if an enable command was sent, or the axis state is neither unknown nor idle."""
         return self.enable_sent_ns >= 0 or self.axis > codec.IDLE
 
 
 def progress_of(state: DriveState) -> OdriveProgress:
-    """Return the ODrive part of a drive state."""
+    """Return the ODrive progress in a drive state."""
     return cast(OdriveProgress, state.private)
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state in phase FAULT with an error code and its text."""
+    """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveState:
-    """Return the state after a heartbeat of 8 bytes.
+    """Return the state of the drive after a heartbeat of 8 bytes.
 
     Args:
         state: state of the drive.
@@ -119,9 +123,10 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
 def _state_after_error(
     state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat, firmware_05: bool
 ) -> DriveState:
-    """Return the state after a heartbeat with an error.
+    """Return the state after a heartbeat that reports an error.
 
-    An error disarms the drive. A drive in any state other than idle may still make torque.
+    An error disables the drive. As long as its axis state is not idle, the drive may still make
+    torque.
     """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
     in_error = to_fault(state, beat.errors, error_text(beat.errors))
@@ -131,7 +136,7 @@ def _state_after_error(
 
 
 def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
-    """Return the state after a heartbeat with closed loop control."""
+    """Return the state after a heartbeat that reports closed loop control."""
     if progress.disabling_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
         return state._replace(phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0))
     if state.phase == READY:
@@ -140,9 +145,9 @@ def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveSta
 
 
 def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress) -> DriveState:
-    """Return the state after a heartbeat with another axis state, such as a calibration.
+    """Return the state after a heartbeat that reports another axis state, such as a calibration.
 
-    The drive may then make torque that the host does not control.
+    In such a state the drive may make torque that the host does not control.
     """
     if state.phase == ENABLED and progress.disabling_ns < 0:
         return to_fault(state, DROPPED_OUT, f"went to axis state {progress.axis} by itself")
@@ -152,9 +157,9 @@ def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress)
 
 
 def _state_when_disabled(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
-    """Return the state of the drive after a heartbeat that reports the axis state IDLE.
+    """Return the state after a heartbeat that reports the axis state idle.
 
-    Shortly after a command the heartbeat may be older than it.
+    Shortly after a command, the heartbeat may be older than the command.
     """
     off = state._replace(private=progress._replace(enable_sent_ns=-1, disabling_ns=-1))
     if progress.disabling_ns >= 0:
@@ -170,11 +175,11 @@ def _state_when_disabled(state: DriveState, progress: OdriveProgress, beat: code
 
 
 def _state_when_enable_failed(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
-    """Return the state of the drive after a heartbeat that reports IDLE although an enable command was sent.
+    """Return the state after a heartbeat that reports idle although an enable command was sent.
 
-    The drive refused the command, the command was lost, or the drive restarted.
+    The drive has refused the command, the command was lost, or the drive has restarted.
 
-    The host cannot detect a restart in another way. All settings are written and verified again
+    The host has no other sign of a restart. All settings are therefore verified and written again
     before the next enable command.
     """
     if beat.result != codec.SUCCESS:
@@ -197,9 +202,10 @@ def _state_when_enable_failed(state: DriveState, progress: OdriveProgress, beat:
 
 
 def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
-    """Return the state after heartbeats were missing for too long.
+    """Return the state of a drive whose heartbeats have been missing for too long.
 
-    An enabled drive is then in fault. A disabled drive may have lost power and its mode.
+    An enabled drive is then in fault. A disabled drive may have lost power, and therefore its
+    control mode.
     """
     progress = progress_of(state)
     if state.phase == ENABLED or progress.enable_sent_ns >= 0:
@@ -208,9 +214,9 @@ def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
 
 
 def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> DriveState:
-    """Return the state while the drive is being disabled.
+    """Return the state of a drive that is being disabled.
 
-    A drive that may be enabled counts as enabled until it reports idle.
+    A drive that may be enabled counts as enabled until a heartbeat reports idle.
     """
     phase = ENABLED if progress.may_be_enabled else state.phase
     since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
@@ -225,5 +231,5 @@ def cause_of_error(error: int) -> Cause:
     if any(bit not in codec.ERRORS for bit in bits):
         return Cause.UNKNOWN
     causes = [CAUSES_OF_BITS.get(bit, Cause.OTHER) for bit in bits]
-    # If the watchdog fired, the other errors are its consequences.
+    # If the watchdog has fired, the other errors are its consequences.
     return next((cause for cause in causes if cause == Cause.WATCHDOG), causes[0])

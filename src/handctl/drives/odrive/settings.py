@@ -1,8 +1,8 @@
-"""ODrive settings without a CANSimple message: read by SDO, written if wrong, read again.
+"""ODrive settings for which CANSimple has no message. They are read by SDO, written if wrong, and read again.
 
-Endpoint numbers differ between firmware versions and boards (``flat_endpoints.json``), so the hand
-file gives them. Without them the operator must set the drive's watchdog over USB, and handctl
-cannot verify it over CAN.
+The number of each endpoint differs between firmware versions and boards (``flat_endpoints.json``).
+The hand file therefore contains these numbers. Without them, the operator must set the drive's
+watchdog over USB, and handctl cannot verify it over CAN.
 """
 
 import struct
@@ -15,13 +15,13 @@ from handctl.drives.readback import Cursor
 from handctl.errors import ConfigError
 
 WRITE_TRIES = 3
-"""Number of writes per setting. The drive does not confirm a write, and a possibly lost write is repeated."""
+"""Number of writes per setting. The drive does not confirm a write, and a write may be lost."""
 ENDPOINT_KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpoint_torque_max", "endpoint_torque_min")
 """Names of the options whose value is an endpoint number."""
 
 
 class Setting(NamedTuple):
-    """Setting with its endpoint number, its required bytes, and its name."""
+    """Setting of an ODrive: endpoint number, bytes of the required value, and name."""
 
     endpoint: int
     raw: bytes
@@ -31,17 +31,17 @@ class Setting(NamedTuple):
 def pop_settings(
     options: MutableMapping[str, Any], where: str, watchdog_s: float, torque: float
 ) -> tuple[Setting, ...]:
-    """Return the settings whose endpoints the options name, and remove their keys.
+    """Return the settings whose endpoint numbers are in the options, and remove these options.
 
     Args:
-        options: options of the motor.
-        where: key path of the options.
-        watchdog_s: watchdog time [s].
-        torque: torque limit at the motor's shaft [N m].
+        options: options of the motor, modified in place.
+        where: key path of the options, for error messages.
+        watchdog_s: required timeout of the watchdog [s].
+        torque: required torque limit at the motor's shaft [N m].
 
     Raises:
-        ConfigError: an endpoint without a valid number, or one of the two watchdog endpoints
-            missing.
+        ConfigError: an endpoint number is invalid, or only one of the two watchdog endpoints is
+            given.
     """
     values = (b"\1", codec.encode_floats(watchdog_s), codec.encode_floats(torque), codec.encode_floats(-torque))
     settings = []
@@ -76,7 +76,7 @@ def unverified_protections(settings: tuple[Setting, ...], firmware_05: bool) -> 
 
 
 def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tuple[Cursor, str]:
-    """Advance the read-back with a TxSdo. Replies to other requests are ignored.
+    """Return the position in the read-back after a TxSdo. Replies to other requests have no effect.
 
     Returns:
         the new cursor, and the problem in words, empty without a problem.
@@ -95,17 +95,21 @@ def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tupl
 def next_request(cursor: Cursor, settings: tuple[Setting, ...], t_ns: int) -> tuple[Cursor, bytes, str]:
     """Return the next request of the read-back: cursor, payload, and problem in words.
 
-    The payload is empty while the drive has not answered. The problem is empty if nothing is wrong.
+    The payload is empty while an answer of the drive is awaited. The problem is empty if all is
+    right.
     """
     setting = settings[cursor.step]
-    if cursor.writing:  # a write has no answer
+    if cursor.writing:  # the drive does not answer a write
         return cursor.after_write(), codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw), ""
     cursor, send, problem = readback.request_setting(cursor, f"endpoint {setting.endpoint} ({setting.name})", t_ns)
     return cursor, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem
 
 
 def value_as_text(raw: bytes, setting: Setting) -> str:
-    """Return the value of a setting as text. One byte is a flag, four bytes are a float32."""
+    """Return the value of a setting as text.
+
+    A value of one byte is a flag, one of four bytes a float32.
+    """
     if len(setting.raw) == 1:
         return str(raw[0])
     return f"{struct.unpack_from('<f', raw)[0]:g}"

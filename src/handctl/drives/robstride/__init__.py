@@ -1,1 +1,1 @@
-"""RobStride motors: private protocol with 29-bit identifiers."""
+"""RobStride motors with their private protocol, which has 29-bit identifiers, or in MIT mode."""

@@ -1,6 +1,6 @@
-"""Frames of RobStride's private protocol: identifiers and bytes <-> values at the output shaft.
+"""Conversion of the frames of RobStride's private protocol between bytes and values at the output shaft.
 
-Identifier, always 29 bits. A frame to the motor has the motor's number in its lowest byte:
+Identifiers always have 29 bits. A frame to the motor has the motor's number in its lowest byte:
 
     bits    28..24   23..16                     15..8            7..0
     type 1  1        torque, 16 bits: 23..8                      motor          control command
@@ -8,20 +8,21 @@ Identifier, always 29 bits. A frame to the motor has the motor's number in its l
     other   type     see below                  host             motor          request
     other   type     see below                  motor            host           reply
 
-Control command, 8 bytes, big-endian. Every field spans its range with 16 bits:
+Control command of 8 bytes, big-endian. Every field covers its range with 16 bits:
 
     byte    0, 1           2, 3              4, 5      6, 7
     field   position       velocity          kp        kd
     range   +-4 pi rad     see MODELS        from 0    from 0
 
-Feedback, 8 bytes, big-endian:
+Feedback of 8 bytes, big-endian:
 
     byte    0, 1           2, 3              4, 5            6, 7
     field   position       velocity          torque          winding
     range   +-4 pi rad     see MODELS        see MODELS      0.1 degC/count
 
-Parameter read (type 0x11) and write (0x12), little-endian: parameter number in bytes 0 and 1, value
-in bytes 4 to 7. A read reply has 1 in bits 23..16 if it failed. A write is answered by feedback.
+Requests that read (type 0x11) or write (type 0x12) a parameter are little-endian: parameter number
+in bytes 0 and 1, value in bytes 4 to 7. If a read has failed, bits 23..16 in the identifier of its
+reply are 1. The motor answers a write with feedback.
 
 Source: docs/facts/robstride.md.
 """
@@ -33,7 +34,7 @@ from typing import NamedTuple
 from handctl.drives.frame import EXTENDED
 from handctl.drives.signals import IDENTIFIER_BIT, Coding, Message, Quantity, Signal
 
-# Types of frames.
+# Types of frames, in bits 28..24 of an identifier.
 GET_ID = 0x00
 CONTROL = 0x01
 FEEDBACK = 0x02
@@ -49,15 +50,15 @@ SET_BIT_RATE = 0x17
 REPORTING = 0x18
 SET_PROTOCOL = 0x19
 REQUESTS = (GET_ID, ENABLE, STOP, SET_ZERO, SET_NUMBER, READ, WRITE, SAVE, SET_BIT_RATE, REPORTING, SET_PROTOCOL)
-"""Frame types with the number of the host in bits 15..8."""
+"""Types of frames that have the number of the host in bits 15..8 of the identifier."""
 BROADCAST = 0xFE
-"""Destination of the reply with the motor's identity."""
+"""Number to which a motor sends the reply with its identity."""
 LAST_NODE = 0x7F
 """Largest motor number."""
 HOST_ID = 0xFD
 """Default number of a host."""
 
-# Modes in the feedback's identifier.
+# Modes of a motor, in the identifier of feedback.
 RESET = 0
 CALIBRATING = 1
 RUNNING = 2
@@ -68,7 +69,7 @@ FAULTS = {
     3: "encoder fault",
     4: "overload: the shaft is blocked",
     5: "not calibrated",
-    # Faults of the fault report, above those of the feedback.
+    # These faults come from the fault report. Their bits are above those of the feedback.
     8: "over-temperature",
     9: "driver chip fault",
     10: "under-voltage",
@@ -81,37 +82,37 @@ FAULTS = {
     22: "overload: the shaft is blocked",
     24: "over-current in phase A",
 }
-"""Fault text by bit of the error code.
+"""Text of each fault, by the bit in the error code.
 
-Bits 0 to 5 come from the feedback's identifier. Bits from 8 on come from the fault report.
+Bits 0 to 5 come from the identifier of feedback. Bits from 8 on come from the fault report.
 """
 REPORT_SHIFT = 8
 """Bit number of the error code that stands for bit 0 of the fault report."""
 
-# Parameters: mode of operation, torque limit, watchdog.
+# Numbers of the parameters for mode of operation, torque limit, and watchdog.
 RUN_MODE = 0x7005
 LIMIT_TORQUE = 0x700B
 CAN_TIMEOUT = 0x7028
 OPERATION = 0
-"""Value of RUN_MODE for control commands."""
+"""Value of the parameter RUN_MODE with which the motor follows control commands."""
 TIMEOUT_UNITS_PER_MS = 20
-"""Watchdog counts per millisecond. 20000 counts are one second."""
+"""Number of counts per millisecond in CAN_TIMEOUT, the watchdog. 20000 counts are one second."""
 POSITION_RANGE_RAD = 4.0 * math.pi
-"""Full scale of the position [rad]."""
+"""Full scale of the position in frames [rad]."""
 MAX_COUNT = 0xFFFF
-"""Largest code of a field."""
+"""Largest code of a 16-bit field."""
 _MIDDLE = MAX_COUNT // 2
 NO_MOTION = struct.pack(">HHHH", _MIDDLE, _MIDDLE, 0, 0)
-"""Payload of a command with torque only: gains are 0, so position and velocity have no effect."""
+"""Payload of a torque command. Its gains are 0, so position and velocity have no effect."""
 CLEAR = bytes((1,)) + bytes(7)
-"""Payload of the stop command that also clears faults."""
+"""Payload of a stop command that also clears faults."""
 EMPTY = bytes(8)
 """Payload of requests without data."""
 _PARAMETER = struct.Struct("<HH4s")
 
 
 class ModelRanges(NamedTuple):
-    """Full scale of a model: velocity [rad/s], torque [N m], kp [N m/rad], kd [N m s/rad]."""
+    """Full scale of a motor model: velocity [rad/s], torque [N m], kp [N m/rad], kd [N m s/rad]."""
 
     velocity: float
     torque: float
@@ -127,16 +128,16 @@ MODELS = {
     "rs04": ModelRanges(15.0, 120.0, 5000.0, 100.0),
     "rs05": ModelRanges(50.0, 5.5, 500.0, 5.0),
 }
-"""Full scale of the models. The motor does not report its model."""
+"""Full scale of each motor model. A motor does not report its model."""
 
 
 def request_id(kind: int, node_id: int, host: int, data: int = 0) -> int:
-    """Return the identifier of a request from a host to a motor."""
+    """Return the identifier of a request of type ``kind`` from a host to a motor."""
     return EXTENDED | kind << 24 | data << 16 | host << 8 | node_id
 
 
 def reply_id(kind: int, node_id: int, host: int, data: int = 0) -> int:
-    """Return the identifier of a frame from a motor to a host."""
+    """Return the identifier of a frame of type ``kind`` from a motor to a host."""
     return EXTENDED | kind << 24 | data << 16 | node_id << 8 | host
 
 
@@ -153,20 +154,20 @@ def motor_ids(node_id: int, host: int) -> frozenset[int]:
 
 
 def joined_status(mode: int, fault: int) -> int:
-    """Return the status that bits 23..16 of the feedback's identifier contain."""
+    """Return the status with this mode and these faults, as bits 23..16 in the identifier of feedback contain it."""
     return mode << 6 | fault
 
 
 def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int = 1) -> Message:
     """Return the signal table of the torque command. The identifier contains the torque.
 
-    No code stands for exactly 0 N m. 0 N m is sent as the nearest code, half a step away.
+    The format has no code for exactly 0 N m. 0 N m is sent as the nearest code, half a step away.
 
     Args:
         node_id: number of the motor.
-        ranges: full scale of the motor.
-        limit: torque limit [N m].
-        sign: sign of the torque, 1 if positive torque winds.
+        ranges: full scale of the motor model.
+        limit: largest torque command [N m].
+        sign: 1 if positive torque of the motor winds the tendon, else -1.
     """
     scale = sign * 2 * ranges.torque / MAX_COUNT
     offset = -sign * ranges.torque
@@ -177,14 +178,15 @@ def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int =
 def impedance_message(
     node_id: int, ranges: ModelRanges, limit: float, sign: int = 1, zero: float = 0.0
 ) -> Message:
-    """Return the command with position, velocity, kp, kd and torque, see ``signals.POSITION_COMMAND``.
+    """Return the signal table of the command with position, velocity, kp, kd and torque, see ``POSITION_COMMAND``.
 
     Args:
         node_id: number of the motor.
-        ranges: full scale of the motor.
-        limit: torque limit [N m].
-        sign: sign of position, velocity and torque, 1 if positive torque winds.
-        zero: motor angle of the spool's zero [rad].
+        ranges: full scale of the motor model.
+        limit: largest torque command [N m].
+        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+            have the same sign.
+        zero: motor angle at spool angle zero [rad].
     """
     torque = command_message(node_id, ranges, limit, sign)
     position = _signal_over_range("position", Quantity.POSITION, 7, POSITION_RANGE_RAD, "rad", sign)
@@ -204,13 +206,14 @@ def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1
     Args:
         node_id: number of the motor.
         host: number of the host.
-        ranges: full scale of the motor.
-        sign: sign of position, velocity, and torque, 1 if positive torque winds.
-        zero: motor angle of the spool's zero [rad].
+        ranges: full scale of the motor model.
+        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+            have the same sign.
+        zero: motor angle at spool angle zero [rad].
     """
     position = _signal_over_range("position", Quantity.POSITION, 7, POSITION_RANGE_RAD, "rad", sign)
     return Message("feedback", reply_id(FEEDBACK, node_id, host, joined_status(RUNNING, 0)), 8, (
-        # Spool angle = sign * (motor angle - zero).
+        # The spool angle is sign * (motor angle - zero).
         position._replace(offset=position.offset - sign * zero),
         _signal_over_range("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", sign),
         _signal_over_range("torque", Quantity.TORQUE, 39, ranges.torque, "N m", sign),
@@ -219,17 +222,20 @@ def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1
 
 
 def _signal_over_range(name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int) -> Signal:
-    """Return a signal of 16 bits that covers the values from -largest to largest."""
+    """Return the description of a 16-bit signal whose codes cover the values from -largest to largest."""
     scale = sign * 2 * largest / MAX_COUNT
     return Signal(name, quantity, start, 16, True, Coding.UNSIGNED, scale, -sign * largest, unit)
 
 
 def parameter_request(number: int, raw: bytes = EMPTY[:4]) -> bytes:
-    """Return the payload that reads a parameter, or writes its four bytes."""
+    """Return the payload of a request that reads a parameter, or writes its four bytes."""
     return _PARAMETER.pack(number, 0, raw)
 
 
 def decode_parameter_reply(data: bytes) -> tuple[int, bytes]:
-    """Decode 8 bytes of a parameter reply: number and four bytes of the value."""
+    """Decode the 8 bytes of a parameter reply.
+
+    Return the parameter number and the four bytes of the value.
+    """
     number, _, raw = _PARAMETER.unpack(data)
     return number, raw

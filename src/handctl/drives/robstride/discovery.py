@@ -1,7 +1,8 @@
-"""Discovery of RobStride motors: the identity request to each number.
+"""Discovery of RobStride motors by an identity request to each motor number.
 
-The identity request (type 0) makes no torque and changes nothing. Fault, mode and parameters are not
-read, because the stop command is the only request for feedback. Source: docs/facts/robstride.md.
+The identity request (type 0) makes no torque and changes no setting. A scan reads no faults and no
+mode, because only the stop command requests feedback. It reads no parameters either. Source:
+docs/facts/robstride.md.
 """
 
 from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode, Discovery, ReceivedFrames
@@ -9,17 +10,18 @@ from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
 from handctl.drives.robstride import codec
 
 MOTOR_NUMBERS = range(1, codec.LAST_NODE + 1)
-"""Motor numbers to try."""
+"""Motor numbers for a scan to try."""
 ALL_HOSTS = range(0x100)
-"""Node numbers of hosts."""
+"""Possible numbers of a host."""
 HOST_ONLY = frozenset(codec.REQUESTS) - {codec.GET_ID, codec.READ, codec.REPORTING} | {codec.CONTROL}
-"""Frame types sent only by hosts."""
+"""Types of frames by which another host is detected."""
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round.
+    """Return the requests of a round of the scan.
 
-    Round 2 requests the identity of every number, round 3 that of the discovered motors.
+    Round 2 requests the identity of every motor number. Round 3 repeats the request for the
+    discovered motors.
     """
     if turn == 2:
         return tuple(_identity_request(number) for number in MOTOR_NUMBERS)
@@ -29,12 +31,12 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def _identity_request(number: int) -> Frame:
-    """Return the frame that requests the identity of a motor."""
+    """Return the frame to request the identity of a motor."""
     return Frame(codec.request_id(codec.GET_ID, number, codec.HOST_ID), codec.EMPTY)
 
 
 def motors_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the motors that answered with their identity."""
+    """Return the motors that have answered with their identity."""
     by_reply = {codec.reply_id(codec.GET_ID, number, codec.BROADCAST): number for number in MOTOR_NUMBERS}
     serials: dict[int, set[bytes]] = {}
     for frame in received:
@@ -45,7 +47,7 @@ def motors_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _describe_motor(number: int, serials: set[bytes]) -> DiscoveredNode:
-    """Return the discovered motor with its data."""
+    """Return a discovered motor, with the serial numbers that were received under its number."""
     twins = len(serials) > 1
     notes = (TWO_DRIVES_WARNING,) * twins + ("does not report its model: give motor_type in the hand file",)
     return DiscoveredNode("robstride", number, serial=min(serials).hex(), notes=notes, twins=twins)
@@ -57,7 +59,7 @@ def command_ids(motor: DiscoveredNode) -> frozenset[int]:
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the received frames sent only by hosts to a motor number."""
+    """Return the received frames that only another host can have sent to a motor."""
     return tuple(
         frame
         for frame in received
@@ -70,12 +72,12 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def ping(motor: DiscoveredNode) -> Frame:
-    """Return the frame that requests the identity."""
+    """Return the frame to request the identity of the motor."""
     return _identity_request(motor.node_id)
 
 
 def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame reports the identity."""
+    """Return True if the frame reports the identity of the motor."""
     return frame.can_id == codec.reply_id(codec.GET_ID, motor.node_id, codec.BROADCAST)
 
 

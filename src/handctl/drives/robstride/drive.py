@@ -1,10 +1,10 @@
-"""RobStride motor: from silence through its parameters to torque, and back to reset mode.
+"""State machine to configure, enable, and stop a RobStride motor.
 
-A motor answers requests and sends fault reports on its own. Mode and faults are in the identifier
-of the feedback. Therefore feedback of a running motor without a fault has one identifier. Feedback
-with any other identifier is processed by the state machine here. A stop command without data stops
-the motor, and does not clear faults. The stop command also requests feedback while the motor is
-disabled, because no other request is answered by feedback.
+A motor sends answers, and also sends fault reports by itself. The identifier of feedback contains
+mode and faults. All feedback of a running motor without a fault therefore has the same identifier.
+The state machine here processes feedback with any other identifier. A stop command without data
+stops the motor, and does not clear faults. The host also sends it to request feedback from a
+disabled motor, because such a motor answers no other request with feedback.
 """
 
 from dataclasses import dataclass, field
@@ -34,30 +34,30 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-"""Phases as module-level names for speed.
+"""Phases of a drive as names of the module, for speed.
 
-Reading an attribute of the enumeration is slower than a comparison.
+Looking a phase up in the enumeration takes longer than comparing two phases.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class RobstrideDrive:
-    """RobStride motor. Implements ``contract.Drive``.
+    """RobStride motor with the private protocol, and with the interface ``contract.Drive``.
 
     Attributes:
-        name: name of the motor.
-        bus: index of the bus.
-        node_id: 1 to 0x7f.
+        name: name of the motor in the hand file.
+        bus: index of the bus of the motor.
+        node_id: number of the motor, from 1 to 0x7f.
         host: number of this host.
-        ranges: full scale of the model.
-        torque_limit: largest torque command, and the motor's own limit [N m at the spool].
-        direction: 1 if positive torque of the motor winds, else -1.
-        zero: motor angle of the spool's zero [rad].
-        watchdog_ms: time of the watchdog [ms].
-        command: signal table of the command, from the fields above.
-        feedback: signal table of the feedback, from the fields above.
-        required: parameters required before arming, from the fields above.
-        node_ids: identifiers of the motor's frames, from the fields above.
+        ranges: full scale of the motor model.
+        torque_limit: largest torque command, and torque limit in the motor [N m at the spool].
+        direction: 1 if positive torque of the motor winds the tendon, else -1.
+        zero: motor angle at spool angle zero [rad].
+        watchdog_ms: timeout of the motor's watchdog [ms].
+        command: signal table of the torque command, built from the fields above.
+        feedback: signal table of the feedback, built from the fields above.
+        required: parameters with the values required before arming, built from the fields above.
+        node_ids: identifiers of the frames from the motor, built from the fields above.
     """
 
     name: str
@@ -75,7 +75,7 @@ class RobstrideDrive:
     node_ids: frozenset[int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Build the signal tables of the cyclic frames."""
+        """Build the signal tables of the cyclic frames, the required parameters, and the identifiers."""
         command = codec.command_message(self.node_id, self.ranges, self.torque_limit, self.direction)
         feedback = codec.feedback_message(self.node_id, self.host, self.ranges, self.direction, self.zero)
         object.__setattr__(self, "command", Table(command))
@@ -85,12 +85,14 @@ class RobstrideDrive:
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "RobstrideDrive":
-        """Return the drive of a motor description.
+        """Return the drive for a motor description.
 
-        Ranges of position and velocity are those of the model, not of the description.
+        The full scales of position and velocity come from the motor model, not from the
+        description.
 
         Raises:
-            ConfigError: an unknown model or option, or more torque than the model's full scale.
+            ConfigError: the model or an option is unknown or wrong, or the torque limit exceeds the
+                full scale of the model.
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
@@ -119,7 +121,7 @@ class RobstrideDrive:
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the frames of the repeated read-back: parameter reads and their replies."""
+        """Return the frames of the repeated read-back of the enabled motor: requests and replies."""
         return ((8, False, readback.RECHECKS_PER_SECOND),) * 2
 
     @property
@@ -129,10 +131,10 @@ class RobstrideDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of this host's requests, and of commands with zero torque.
+        """Return the identifiers of requests of this host, and of commands with zero torque.
 
-        Commands have a different identifier for each torque, 65536 in all. The others are left out,
-        because a second host is also detected by its requests.
+        Commands have a different identifier for each torque, 65536 in all. The identifiers of other
+        torques are left out, because another host is also detected by its requests.
         """
         requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUESTS}
         return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})
@@ -144,29 +146,29 @@ class RobstrideDrive:
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True, because a motor sends one feedback frame per command."""
+        """Return True, because the motor sends a single feedback frame per command."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return the position step of one count: 16 bits cover 8 pi [rad]."""
+        """Return the change of the position per count [rad]. The 16 bits cover 8 pi."""
         return 2 * codec.POSITION_RANGE_RAD / codec.MAX_COUNT
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because every command requests feedback."""
+        """Return 0, because the motor sends feedback only as the answer to a command."""
         return 0.0
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return the signal tables of command and feedback."""
+        """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(
             self.node_id, self.ranges, self.torque_limit, self.direction, self.zero
         )
         return Cyclic((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0, because the identifier of the feedback contains the status."""
+        """Return 0 for an enabled motor, because not the payload of feedback but its identifier contains the status."""
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
             return UNSTEADY
@@ -177,11 +179,11 @@ class RobstrideDrive:
         return progress_of(state).check.due_ns
 
     def initial(self) -> DriveState:
-        """Return the state before the first frame."""
+        """Return the state of the motor before the first frame."""
         return DriveState(private=RobstrideProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after one received frame, see ``contract.Drive``."""
+        """Return the state after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         number = can_id & ~EXTENDED
         if bus != self.bus or can_id not in self.node_ids:
@@ -202,7 +204,7 @@ class RobstrideDrive:
         return state._replace(phase=phase, private=progress)
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
-        """Update the state with the values of a feedback frame and the status in its identifier."""
+        """Return the state after feedback, with the values and the effect of the status in its identifier."""
         position, velocity, torque, winding = self.feedback.unpack(data)
         updated = state._replace(
             position=position,
@@ -217,7 +219,7 @@ class RobstrideDrive:
     def _on_report(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after a fault report.
 
-        A fault in bytes 0 to 3 has removed the torque. Bytes 4 to 7 are warnings.
+        Bytes 0 to 3 are faults, after which the motor makes no torque. Bytes 4 to 7 are warnings.
         """
         faults = int.from_bytes(data[:4], "little")
         if not faults:
@@ -225,7 +227,7 @@ class RobstrideDrive:
         return apply_fault(state, codec.RESET, faults << codec.REPORT_SHIFT & 0xFFFFFFFF)
 
     def _on_parameter(self, state: DriveState, data: bytes, failed: bool) -> DriveState:
-        """Compare the value of a parameter with the required value."""
+        """Return the state after a parameter reply, whose value is compared with the required value."""
         progress = progress_of(state)
         number, raw = codec.decode_parameter_reply(data)
         if state.phase == ENABLED and progress.check.waiting:
@@ -262,7 +264,7 @@ class RobstrideDrive:
         progress: RobstrideProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             command = self._torque_frame(torque)
-            # The usual path of a running hand: one command, no other state change.
+            # In a running hand this is the usual case: one command, and no change of the state.
             if t_ns < progress.check.due_ns:
                 return state, (command,)
             state, question = self._next_recheck(state, progress, t_ns)
@@ -289,22 +291,25 @@ class RobstrideDrive:
         return state._replace(private=progress), (self._idle_request(state, progress),)
 
     def _idle_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
-        """Return the request to a motor without torque: for feedback, to clear faults, or for its identity."""
+        """Return the frame to a motor without torque.
+
+        It requests feedback or the identity, or clears faults.
+        """
         if state.phase == READY:
             return self._request_frame(codec.STOP)
         return self._request_frame(codec.STOP, codec.CLEAR) if progress.clearing else self._request_frame(codec.GET_ID)
 
     def _disable(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> DriveState:
-        """Return the state while the motor is being stopped.
+        """Return the state of a motor that is being stopped.
 
-        A motor that may be enabled counts as enabled until it reports reset mode.
+        A motor that may be enabled counts as enabled until feedback reports reset mode.
         """
         phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
 
     def _next_recheck(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> tuple[DriveState, Frame]:
-        """Return the request that reads a parameter of the enabled motor, if its time has come."""
+        """Return the next state, and the request to read the next parameter of the enabled motor again."""
         one = self.required[progress.check.step]
         check, problem = readback.next_recheck(progress.check, one.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
@@ -315,7 +320,7 @@ class RobstrideDrive:
     def _configure(
         self, state: DriveState, progress: RobstrideProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the request that reads or writes the next parameter.
+        """Return the next state, and the request to read or write the next parameter.
 
         An enabled motor is stopped first.
         """
@@ -340,10 +345,10 @@ class RobstrideDrive:
         """Return the frame of a torque command.
 
         Args:
-            torque: command [N m at the spool].
+            torque: torque to command [N m at the spool].
 
         Raises:
-            ValueError: torque is not finite, or beyond the limit.
+            ValueError: the torque is not finite, or exceeds the torque limit.
         """
         try:
             can_id, data = self.command.pack_frame(torque)
@@ -363,12 +368,15 @@ class RobstrideDrive:
         return (self._request_frame(codec.STOP),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state that clears the latched faults by a stop command and repeats the read-back."""
+        """Return the state and the stop command that clear the latched faults.
+
+        Parameters are then read back again.
+        """
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=RobstrideProgress(clearing=CLEAR_TRIES))
         return fresh, (self._request_frame(codec.STOP, codec.CLEAR),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame, because the watchdog of a stopped motor is inactive."""
+        """Return no frames, because the watchdog of a stopped motor is not active."""
         return ()
 
     def identity(self, state: DriveState) -> str:
@@ -380,5 +388,5 @@ class RobstrideDrive:
         return cause_of_error(error)
 
     def _request_frame(self, kind: int, data: bytes = codec.EMPTY) -> Frame:
-        """Return a request to the motor."""
+        """Return a request of type ``kind`` to the motor."""
         return Frame(codec.request_id(kind, self.node_id, self.host), data, 0, self.bus)

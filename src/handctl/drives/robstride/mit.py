@@ -1,8 +1,8 @@
-"""RobStride motor in its MIT mode: 11-bit identifiers, the command frame of MIT motors, and no registers.
+"""RobStride motor in MIT mode, with 11-bit identifiers, the command frame of MIT motors, and no registers.
 
-Command and special commands: identifier is the motor's number, layout as in ``mit.codec``. A
-special command has a second code in byte 6, FF in the commands used here, except the read of
-faults:
+The identifier of commands and special commands is the motor's number. Their layout is that of
+``mit.codec``. A special command has a second code in byte 6. It is FF in all commands that handctl
+uses, except in the read of faults:
 
     bytes 0..5          byte 6   byte 7   effect
     FF FF FF FF FF FF   FF       FC       enable
@@ -10,17 +10,18 @@ faults:
     FF FF FF FF FF FF   FF       FB       clear the faults
     FF FF FF FF FF FF   00       FB       read the faults
 
-Feedback, identifier is the host's number, 8 bytes, big-endian. The answer to the read of faults has
-the same identifier:
+Feedback has 8 bytes, big-endian, and the host's number as identifier. The answer to the read of
+faults has the same identifier, and the layout of the last row:
 
     byte    0         1, 2            3, 4 high     4 low, 5      6, 7
     field   motor 8   position 16     velocity 12   torque 12     winding 16
     range             +-12.57 rad     see MODELS    see MODELS    0.1 degC/count
     faults  motor 8   bits 0..7, 8..15, 16..23 in bytes 1..3      0 in bytes 4..7
 
-As with CubeMars motors, the feedback does not report enabled or disabled. Watchdog and torque limit
-can be set and read in the private protocol only. MIT motors of other makers take a read of faults
-as a motion command. Therefore it is sent to disabled motors only, and discovery does not use it.
+As with CubeMars motors, the feedback does not report whether the motor is enabled. Watchdog and
+torque limit can be set and read only in the private protocol. MIT motors of other makers take a
+read of faults as a motion command. The host therefore sends it only to motors that are disabled,
+and a scan does not send it.
 
 Source: docs/facts/robstride.md, section MIT mode.
 """
@@ -45,17 +46,17 @@ MODELS = {
     name: mit.Ranges(POSITION_RANGE, codec.MODELS[name].velocity, codec.MODELS[name].torque)
     for name in ("rs00", "rs01", "rs05")
 }
-"""Full scale of the models for which all sources state equal ranges in MIT mode."""
+"""Full scale of the motor models whose ranges in MIT mode are the same in all sources."""
 HOST_OFFSET = 0x10
-"""Default difference between the host's number and the motor's number on a bus with several motors."""
+"""Default of the host's number minus the motor's number, on a bus with several motors."""
 FACTORY_HOST = 0
 """Factory setting of the host's number."""
 READ_FAULTS = b"\xff" * 6 + b"\x00\xfb"
-"""Payload that reads the faults."""
+"""Payload of the special command to read the faults."""
 FAULT_PERIOD = 8
 """Number of answers from a disabled motor between two reads of its faults."""
 CONTROL_MODES = range(3)
-"""Bits 10..8 of a command's identifier: MIT, position, and velocity mode."""
+"""Values of bits 10..8 in the identifier of commands in MIT, position, and velocity mode."""
 UNVERIFIED_PROTECTIONS = (
     "watchdog: canTimeout cannot be read in MIT mode; set and save it in the private protocol, its default is off",
     "torque limit: limit_torque cannot be read in MIT mode; torque_max_N_m is this host's alone",
@@ -64,15 +65,15 @@ UNVERIFIED_PROTECTIONS = (
     f"{MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque",
     "ranges cannot be read back; motor_type must be right",
 )
-"""Protections of the motor that handctl cannot verify, one line each."""
+"""Protections of a RobStride motor in MIT mode that handctl cannot verify, one line each."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobstrideMitDrive(CubemarsDrive):
-    """RobStride motor in MIT mode. Implements ``contract.Drive``.
+    """RobStride motor in MIT mode, with the interface ``contract.Drive``.
 
     Attributes:
-        host_id: number of the host, the identifier of the feedback.
+        host_id: number of the host, also the identifier of feedback.
     """
 
     host_id: int
@@ -83,17 +84,18 @@ class RobstrideMitDrive(CubemarsDrive):
         feedback = mit.feedback_message(self.host_id, self.ranges, self.direction, self.zero)
         state, position, velocity, torque, _, _ = feedback.signals
         winding = Signal("winding", Quantity.TEMPERATURE, 55, 16, True, Coding.SIGNED, 0.1, unit="degC")
-        # Byte 0 is the whole number of the motor.
+        # Byte 0 of this feedback is the whole number of the motor, without a state nibble.
         signals = (state._replace(name="node"), position, velocity, torque, winding)
         object.__setattr__(self, "command", Table(command._replace(limit=self.torque_limit)))
         object.__setattr__(self, "feedback", Table(feedback._replace(signals=signals)))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "RobstrideMitDrive":
-        """Return the drive of a motor description.
+        """Return the drive for a motor description.
 
         Raises:
-            ConfigError: an unknown model or option, a wrong number, or too large a torque.
+            ConfigError: the model or an option is unknown, a number is wrong, or the torque limit
+                is too large.
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
@@ -121,12 +123,12 @@ class RobstrideMitDrive(CubemarsDrive):
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of commands in the three control modes."""
+        """Return the identifiers of commands to the motor in its three control modes."""
         return frozenset(mode << 8 | self.node_id for mode in CONTROL_MODES)
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifier of the feedback."""
+        """Return the identifier of feedback."""
         return frozenset((self.host_id,))
 
     @property
@@ -135,19 +137,20 @@ class RobstrideMitDrive(CubemarsDrive):
         return UNVERIFIED_PROTECTIONS
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status of the feedback of an enabled motor: its number."""
+        """Return the status in feedback of an enabled motor, only the number of the motor."""
         status = CubemarsDrive.steady_status(self, state)
         return status if status < 0 else self.node_id
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after one received frame, see ``contract.Drive``."""
+        """Return the state after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.host_id or bus != self.bus:
             return state
         if len(data) != 8 or data[0] != self.node_id:
             return state._replace(misread=state.misread + 1)
         updated = state._replace(feedback_t_ns=t_ns, feedback_count=state.feedback_count + 1)
-        # Feedback with 0 in bytes 4 to 7 would have a torque near the negative full scale.
+        # Bytes 4 to 7 are 0 only in the answer to a read of faults. In feedback, they would mean a
+        # torque near the negative full scale.
         if not any(data[4:]) and state.phase != Phase.ENABLED:
             return self._on_faults(updated, int.from_bytes(data[1:4], "little"))
         _, position, velocity, torque, winding = self.feedback.unpack(data)
@@ -155,7 +158,7 @@ class RobstrideMitDrive(CubemarsDrive):
         return self._on_answer(updated, state.private)
 
     def _on_faults(self, state: DriveState, faults: int) -> DriveState:
-        """Return the state after an answer to the read of faults."""
+        """Return the state after an answer to the read of faults, with the bits of the faults."""
         if not faults:
             return state
         error = faults << codec.REPORT_SHIFT
@@ -166,7 +169,8 @@ class RobstrideMitDrive(CubemarsDrive):
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``.
 
-        For a disabled motor, every eighth stop command is replaced by a read of the faults.
+        To a disabled motor, the host sends a read of the faults instead of every eighth stop
+        command.
         """
         updated, frames = CubemarsDrive.advance(self, state, t_ns, target, torque)
         progress: CubemarsProgress = updated.private
@@ -176,7 +180,10 @@ class RobstrideMitDrive(CubemarsDrive):
         return updated, frames
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state that clears the faults and begins again with the stop command."""
+        """Return the state and the frames that clear the faults.
+
+        The motor then starts again with stop commands.
+        """
         fresh, stop = CubemarsDrive.clear(self, state)
         return fresh, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
 

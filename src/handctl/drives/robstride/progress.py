@@ -1,4 +1,4 @@
-"""Progress of a RobStride motor between frames, and the effect of mode and faults."""
+"""Progress of the state machine of a RobStride motor, and the effect of mode and faults in its feedback."""
 
 from typing import NamedTuple
 
@@ -9,21 +9,21 @@ from handctl.drives.robstride import codec
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-# Error codes that handctl adds. They are the two bits between the faults of the feedback and those
-# of the fault report.
+# Error codes added by handctl. They use the two bits between the faults in feedback and those in
+# the fault report.
 DROPPED_OUT = 1 << 6
 MISMATCH = 1 << 7
 ENABLED_BY_OTHER_HOST = 3 << 6
 CAUSES = {DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH}
 """Cause of each error code added by handctl."""
 CAUSES_OF_BITS = {0: Cause.VOLTAGE, 10: Cause.VOLTAGE, 11: Cause.VOLTAGE, 2: Cause.HOT, 8: Cause.HOT}
-"""Cause of each fault bit of the motor."""
+"""Cause of fault bits of the motor. All other bits have the cause OTHER."""
 CLEAR_TRIES = 3
-"""Number of feedback frames that may still show a fault after the command to clear it."""
+"""Number of feedback frames that may still show a fault after the clear command."""
 SILENCE_NS = 250_000_000
-"""Time without a frame after which the motor may have lost power and its parameters [ns]."""
+"""Time without a frame after which the motor may have lost power, and therefore its parameters [ns]."""
 WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"
-"""Error text for a motor that left the running mode without a reported reason."""
+"""Error text for a motor that has left the running mode without reporting a reason."""
 
 
 class RobstrideProgress(NamedTuple):
@@ -33,12 +33,13 @@ class RobstrideProgress(NamedTuple):
         cursor: position in the list of parameters to read back.
         configured: True if all parameters have their required values.
         enabled_by_other: True if the motor may make torque without a command of this host.
-        enable_sent: True from the enable command to the next report of reset mode.
+        enable_sent: True from the enable command until the motor reports reset mode.
         disabling: True while the motor is being stopped.
         disabling_ns: time of the first stop command [ns].
-        clearing: feedback frames left to ignore while the fault is being cleared.
+        clearing: number of feedback frames with a fault still to be ignored, while the fault is
+            being cleared.
         ready_ns: time at which the last parameter was verified [ns].
-        check: position in the read-back repeated while enabled.
+        check: position in the repeated read-back of the enabled motor.
         serial: identifier of the motor's processor, 0 if unknown.
     """
 
@@ -55,18 +56,21 @@ class RobstrideProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> RobstrideProgress:
-    """Return the RobStride part of a drive state."""
+    """Return the RobStride progress in a drive state."""
     progress: RobstrideProgress = state.private
     return progress
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state in phase FAULT with an error code and its text."""
+    """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Return the state after mode and faults. The given state already has the values of the same feedback."""
+    """Return the state after feedback with a mode and faults.
+
+    ``state`` already has the values of the same feedback.
+    """
     progress = progress_of(state)
     if fault:
         return apply_fault(state, mode, fault)
@@ -78,7 +82,10 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Return the state after a fault. A motor in reset mode makes no torque. In any other mode it may make torque."""
+    """Return the state after a fault.
+
+    A motor in reset mode makes no torque, and in any other mode it may.
+    """
     progress = progress_of(state)
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
@@ -89,10 +96,10 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def _state_when_stopped(state: DriveState, progress: RobstrideProgress) -> DriveState:
-    """Return the state after the motor reported reset mode without a fault."""
+    """Return the state after the motor has reported reset mode without a fault."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
-        # Feedback that was sent before the stop command does not show its effect.
+        # Feedback from before the stop command does not show the effect of this command.
         if state.feedback_t_ns < progress.disabling_ns:
             return state
         return state._replace(phase=FAULT if state.error else READY, private=off)
@@ -103,14 +110,14 @@ def _state_when_stopped(state: DriveState, progress: RobstrideProgress) -> Drive
 
 
 def _state_when_running(state: DriveState, progress: RobstrideProgress) -> DriveState:
-    """Return the state after the motor reported running mode."""
+    """Return the state after the motor has reported running mode."""
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
     return _state_when_enabled_by_other(state, progress, "enabled, but not by this host")
 
 
 def _state_when_enabled_by_other(state: DriveState, progress: RobstrideProgress, text: str) -> DriveState:
-    """Return the state after a mode caused by another host."""
+    """Return the state after the motor has reported a mode that another host has caused."""
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
@@ -120,7 +127,7 @@ def _state_when_enabled_by_other(state: DriveState, progress: RobstrideProgress,
 
 
 def fault_text(fault: int) -> str:
-    """Return the text for the faults in an error code."""
+    """Return the texts of the faults in an error code."""
     names = [codec.FAULTS.get(bit, f"unknown fault bit {bit}") for bit in range(32) if fault >> bit & 1]
     return ", ".join(dict.fromkeys(names))
 

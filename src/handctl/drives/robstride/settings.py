@@ -1,6 +1,7 @@
-"""Parameters of a RobStride motor required before arming: read, written if wrong, and read again.
+"""Parameters of a RobStride motor with required values. Before arming each is read, written if wrong, and read again.
 
-A write changes the working memory alone. The flash is written by type 0x16, which handctl never sends.
+A write changes only the working memory of the motor. Frames of type 0x16 write the flash, and
+handctl never sends them.
 """
 
 import struct
@@ -9,17 +10,20 @@ from typing import NamedTuple
 from handctl.drives.robstride import codec
 
 WRITE_TRIES = 3
-"""Number of writes per parameter. The motor answers a write without the value, so each write is read back."""
+"""Number of writes per parameter.
+
+The motor's answer to a write does not contain the value, so each write is read back.
+"""
 
 
 class RequiredParameter(NamedTuple):
-    """Parameter with its required value.
+    """Parameter of a motor with the required value.
 
     Attributes:
-        name: name in the manual.
+        name: name of the parameter in the manual.
         number: number of the parameter.
         coding: ``struct`` code of the value: B, I or f.
-        value: required value.
+        value: required value of the parameter.
     """
 
     name: str
@@ -34,21 +38,24 @@ class RequiredParameter(NamedTuple):
         return struct.pack(f"<{self.coding}", value).ljust(4, b"\0")
 
     def is_right(self, raw: bytes) -> bool:
-        """Return True if four bytes are the required value. Bytes after a shorter value are ignored."""
+        """Return True if four received bytes are the required value.
+
+        Bytes after a shorter value are ignored.
+        """
         size = struct.calcsize(self.coding)
         return raw[:size] == self.raw[:size]
 
     def shown(self, raw: bytes) -> str:
-        """Return the value in four bytes as text."""
+        """Return the value in four received bytes as text."""
         return f"{struct.unpack_from(f'<{self.coding}', raw)[0]:g}"
 
 
 def required_parameters(torque: float, watchdog_ms: float) -> tuple[RequiredParameter, ...]:
-    """Return the parameters required before arming.
+    """Return the parameters with the values required before arming.
 
     Args:
-        torque: torque limit [N m].
-        watchdog_ms: watchdog [ms].
+        torque: required torque limit [N m].
+        watchdog_ms: required timeout of the watchdog [ms].
     """
     counts = round(watchdog_ms * codec.TIMEOUT_UNITS_PER_MS)
     return (

@@ -1,1 +1,1 @@
-"""Sensor node: load cells and joint encoders."""
+"""Sensor node of a hand on CAN, with load cells and joint encoders."""

@@ -1,4 +1,7 @@
-"""Contract of the sensors of a hand: functions that controller, log and tools use of each protocol of load cells."""
+"""Interface of the sensors of a hand.
+
+Each protocol of load cells implements it for controller, log and tools.
+"""
 
 from typing import Protocol
 
@@ -11,74 +14,77 @@ class Sensors(Protocol):
     """Load cells and joint encoders of a hand, all on one bus. Implementations are immutable.
 
     Attributes:
-        bus: index of the bus.
-        sync_id: identifier of SYNC.
-        ids: identifier of each cyclic frame, tension frames first.
-        channels: indices of the tendons or joints in each frame, in the hand's order.
-        lengths: payload length of each frame [bytes].
-        tension_frames: number of tension frames.
-        amplifiers: amplifiers that need a set-up, in the order of ``group_ranges``. Empty without
-            one.
+        bus: index of the bus of the sensors.
+        sync_id: identifier of the SYNC frame, at which the sensors sample.
+        ids: identifier of each cyclic frame from the sensors. Frames with tensions come first.
+        channels: indices of the tendons or joints in each of these frames, as numbered in the hand.
+        lengths: payload length of each of these frames [bytes].
+        tension_frames: number of frames with tensions.
+        amplifiers: measuring amplifiers for the host to set up, in the order of ``group_ranges``.
+            There may be none.
     """
 
     @property
     def bus(self) -> int:
-        """Return the index of the bus."""
+        """Return the index of the bus of the sensors."""
         ...
 
     @property
     def sync_id(self) -> int:
-        """Return the identifier of SYNC."""
+        """Return the identifier of the SYNC frame, at which the sensors sample."""
         ...
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """Return the identifier of each cyclic frame, tension frames first."""
+        """Return the identifier of each cyclic frame from the sensors.
+
+        Frames with tensions come first.
+        """
         ...
 
     @property
     def channels(self) -> tuple[tuple[int, ...], ...]:
-        """Return the indices of the tendons or joints in each frame."""
+        """Return the indices of the tendons or joints in each cyclic frame."""
         ...
 
     @property
     def lengths(self) -> tuple[int, ...]:
-        """Return the payload length of each frame [bytes]."""
+        """Return the payload length of each cyclic frame [bytes]."""
         ...
 
     @property
     def tension_frames(self) -> int:
-        """Return the number of tension frames."""
+        """Return the number of cyclic frames with tensions."""
         ...
 
     @property
     def amplifiers(self) -> tuple[Amplifier, ...]:
-        """Return the amplifiers that need a set-up."""
+        """Return the measuring amplifiers for the host to set up."""
         ...
 
     @property
     def group_ranges(self) -> tuple[range, ...]:
-        """Return the indices of the frames of each amplifier."""
+        """Return the indices in ``ids`` of the frames from each amplifier."""
         ...
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return all identifiers of the sensors' frames."""
+        """Return the identifiers of all frames from the sensors."""
         ...
 
     @property
     def service_ids(self) -> frozenset[int]:
-        """Return the identifiers of frames for the state machines of amplifiers."""
+        """Return the identifiers of received frames that the state machines of the amplifiers must process."""
         ...
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers sent only by the host."""
+        """Return the identifiers of frames from a host to the sensors."""
         ...
 
     @property
     def cell_range(self) -> tuple[float, float]:
-        """Return the readings before the tare at which a load cell is saturated, lower and upper [N]."""
+        """Return the lower and the upper reading without tare at which a load cell is saturated [N]."""
         ...
 
     @property
@@ -93,31 +99,31 @@ class Sensors(Protocol):
 
     @property
     def exchange(self) -> tuple[tuple[int, float], ...]:
-        """Return the frames of a tick, SYNC first, as (payload bytes, frames per tick)."""
+        """Return the frames that a tick exchanges with the sensors, SYNC first, as (payload bytes, frames per tick)."""
         ...
 
     @property
     def background(self) -> tuple[tuple[int, float], ...]:
-        """Return the periodic frames as (payload bytes, frames per second)."""
+        """Return frames whose rate is not the control rate, as (payload bytes, frames per second)."""
         ...
 
     @property
     def messages(self) -> tuple[Message, ...]:
-        """Return the signal tables of the frames, in the order of ``ids``."""
+        """Return the signal tables of the cyclic frames, in the order of ``ids``."""
         ...
 
     @property
     def sync_message(self) -> Message:
-        """Return the signal table of SYNC."""
+        """Return the signal table of the SYNC frame."""
         ...
 
     @property
     def has_counter(self) -> bool:
-        """Return True if an answer contains the counter of its SYNC."""
+        """Return True if the answer to a SYNC contains the counter of this SYNC."""
         ...
 
     def counter(self, k: int) -> int:
-        """Return the counter byte of the SYNC in tick k, 0 without a counter."""
+        """Return the counter byte of the SYNC in tick k, 0 if the SYNC has no counter."""
         ...
 
     def sync(self, k: int) -> Frame:
@@ -125,21 +131,21 @@ class Sensors(Protocol):
         ...
 
     def earliest_answer_ns(self, sync_ns: int) -> int:
-        """Return the earliest arrival of an answer to a SYNC sent after ``sync_ns`` [ns]."""
+        """Return the earliest time at which the answer to a SYNC sent after ``sync_ns`` can arrive [ns]."""
         ...
 
     def answers(self, data: bytes, counter: int) -> bool:
-        """Return True if a payload can be the answer to the SYNC with this counter."""
+        """Return True if a payload can be the answer to the SYNC with the given counter."""
         ...
 
     def lost(self, syncs: int, accepted: int, stale: int) -> int:
-        """Return how many tension frames are lost."""
+        """Return the number of lost tension frames, see ``SensorNode.lost``."""
         ...
 
     def group_of_tendon(self, index: int) -> int:
-        """Return the index of the frame with a tendon's load cell, -1 without a load cell."""
+        """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
         ...
 
     def group_of_joint(self, index: int) -> int:
-        """Return the index of the frame with a joint's encoder, -1 without an encoder."""
+        """Return the index of the frame with the encoder of a joint, -1 for a joint without an encoder."""
         ...

@@ -1,8 +1,8 @@
-"""Discovery of the sensor node by its answers, which contain the low four bits of the SYNC counter.
+"""Discovery of the sensor node by its answers to SYNC. They contain the low four bits of the counter in the SYNC.
 
 SYNC does not move a motor that handctl has set up. Other CANopen drives apply pending PDOs at SYNC.
-No SYNC is sent on a bus with a CANopen drive or an ODrive with node number 4, because their
-``command_ids`` include the identifier of SYNC. Source: ``node``.
+A scan therefore sends no SYNC on a bus with a CANopen drive, or with an ODrive with node number 4.
+Their ``command_ids`` include the identifier of SYNC. Source: ``node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
@@ -11,26 +11,26 @@ from handctl.drives.frame import Frame
 SYNC = 0x080
 """Identifier of SYNC, as in CANopen."""
 COUNTERS = (0x35, 0x3A)
-"""Counters of the two SYNCs.
+"""Counters of the two SYNC frames that a scan sends.
 
-The counters differ, so that a frame of another device does not count as two answers.
+The counters differ, so that a frame that another device repeats does not count as two answers.
 """
-# Bits of the counter and of a channel.
+# Number of bits of the counter in an answer, and of each channel.
 HEADER_BITS = 4
 CHANNEL_BITS = 12
 MAX_FRAME_BYTES = 8
-"""Largest payload of an answer [bytes]."""
+"""Largest payload of an answer of the sensor node [bytes]."""
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round: two SYNCs in round 3."""
+    """Return the requests of a round of the scan: two SYNC frames in round 3, none in the others."""
     return tuple(ping_with_counter(counter) for counter in COUNTERS) if turn == 3 else ()
 
 
 def sensor_nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the discovered sensor nodes: identifiers that answered both SYNCs.
+    """Return the discovered sensor nodes. They are identifiers with an answer to both SYNC frames.
 
-    Consecutive identifiers are one node.
+    Consecutive identifiers count as one node.
     """
     ids = sorted({frame.can_id for frame in received if _answers_both_syncs(received, frame.can_id)})
     first = [can_id for can_id in ids if can_id - 1 not in ids]
@@ -38,7 +38,7 @@ def sensor_nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _answers_both_syncs(received: ReceivedFrames, can_id: int) -> bool:
-    """Return True if all frames of an identifier contain the SYNC counters, in the order sent."""
+    """Return True if the frames with an identifier repeat the counters of both SYNC frames, in the order sent."""
     counters = [
         frame.data[0] & 0xF for frame in received if frame.can_id == can_id and 2 <= len(frame.data) <= MAX_FRAME_BYTES
     ]
@@ -46,7 +46,7 @@ def _answers_both_syncs(received: ReceivedFrames, can_id: int) -> bool:
 
 
 def _describe_node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
-    """Return the discovered sensor node with its data."""
+    """Return the discovered sensor node whose first identifier is ``can_id``."""
     size = next(len(frame.data) for frame in received if frame.can_id == can_id)
     channels = (8 * size - HEADER_BITS) // CHANNEL_BITS
     note = f"answers SYNC 0x{SYNC:03x}: a sensor node with base_id = 0x{can_id:x} and {channels} channels in a frame?"
@@ -54,27 +54,27 @@ def _describe_node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return an empty set: SYNC makes the node sample and has no effect on a motor."""
+    """Return an empty set, because SYNC makes the node sample and moves no motor."""
     return frozenset()
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return no frames, because CANopen's discovery reports a SYNC of another host."""
+    """Return no frames, because the discovery of CANopen drives already reports a SYNC of another host."""
     return ()
 
 
 def ping_with_counter(counter: int) -> Frame:
-    """Return a SYNC frame with this counter."""
+    """Return a SYNC frame with the given counter."""
     return Frame(SYNC, bytes((counter,)))
 
 
 def ping(node: DiscoveredNode) -> Frame:
-    """Return a SYNC frame."""
+    """Return a SYNC frame as the request to a sensor node."""
     return ping_with_counter(COUNTERS[0])
 
 
 def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame is an answer with the counter of ``ping``."""
+    """Return True if the frame is an answer of the node to ``ping``, with the counter of ``ping``."""
     return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == COUNTERS[0] & 0xF
 
 

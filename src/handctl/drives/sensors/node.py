@@ -1,7 +1,7 @@
-"""Sensor node: load cells and joint encoders, in frames defined by handctl (``sensor_node.dbc``).
+"""Sensor node with load cells and joint encoders. Its frames are defined by handctl (``sensor_node.dbc``).
 
-SYNC, from the host, 1 byte: counter 8. Frames of the node, 2 to 8 bytes, little-endian, packed from
-the lowest bit:
+The host sends SYNC with one byte, the counter. The node answers with frames of 2 to 8 bytes. Their
+fields are little-endian, and packed from the lowest bit:
 
     bits    0..3       4..15       16..27      28..39      40..51      52..63
     field   counter    channel 0   channel 1   channel 2   channel 3   channel 4
@@ -10,9 +10,9 @@ the lowest bit:
     tension     62.5 mN            -6 N to 249.9 N       base_id + 0, 1, ..
     angle       1/4096 turn        -180 to 179.9 deg     base_id + 0x10, 0x11, ..
 
-The node samples at SYNC. Every frame of its answer contains the low four bits of the counter byte,
-so that a stale frame does not count as fresh. Successive counters do not repeat with period
-16, see ``sync_counters``. Angle frames follow every SYNC whose counter is a multiple of
+The node samples at SYNC. Every frame of its answer contains the low four bits of the counter, so
+that the host does not take an old frame for a fresh one. The counters do not count up, see
+``sync_counters``. The node sends angle frames after each SYNC whose counter is a multiple of
 ``joint_decimation``.
 """
 
@@ -32,47 +32,55 @@ CHANNEL_BITS = 12
 COUNTER_BITS = 4
 """Number of bits of the counter in an answer."""
 CHANNEL_SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS * CHANNEL_BITS, CHANNEL_BITS))
-"""Lowest bit of each channel."""
+"""Number of the lowest bit of each channel in a frame."""
 MAX_CHANNEL_COUNT = (1 << CHANNEL_BITS) - 1
-"""Largest count of a channel."""
+"""Largest possible count of a channel."""
 TENSION_STEP_N = 0.0625
-"""Tension of one count [N]."""
+"""Change of the tension per count [N]."""
 TENSION_ZERO_N = -6.0
-"""Tension of count 0 [N].
+"""Tension at count 0 [N].
 
-The value is negative, so that noise and bias of a slack tendon are in the range.
+The value is negative, so that the reading of a slack tendon with its noise and bias is in the
+range.
 """
 TENSION_MAX_N = TENSION_ZERO_N + MAX_CHANNEL_COUNT * TENSION_STEP_N
-"""Tension at the largest count [N]. At count 0 and at the largest count the load cell is saturated."""
+"""Tension at the largest count [N].
+
+At count 0 and at the largest count the load cell is saturated.
+"""
 LOW_MARGIN_N = 2.0
-"""Distance from the lower end of the range to the threshold for a broken load cell [N]."""
-# Smallest and largest valid reading of a load cell without tension [N].
+"""Distance of the threshold for a broken load cell from the lower end of the range [N]."""
+# Smallest and largest reading of a load cell without tension that is accepted as a tare [N].
 #
-# At a smaller reading, noise would reach the end of the range, and a broken wire would look like a slack
-# tendon. At a larger reading, the range above the tare would end before ``tension_rail``.
+# With a smaller reading, noise would reach the end of the range, and a broken wire would look like
+# a slack tendon. With a larger reading, the range above the tare would end before ``tension_rail``.
 TARE_MIN_N = TENSION_ZERO_N + LOW_MARGIN_N
 TARE_MAX_N = 6.0
 TENSION_RAIL_N = TENSION_MAX_N - TARE_MAX_N
 """Tared tension above which a load cell may be saturated, for any accepted tare [N]."""
-# Ticks after which the SYNC counters repeat, and ticks in a row with distinct answers.
+# Number of ticks after which the SYNC counters repeat, and number of consecutive ticks with
+# distinct answers.
 COUNTER_PERIOD = 4096
 DISTINCT_COUNTERS = 8
 JOINT_STEP_RAD = 2 * math.pi / 4096
-"""Angle of one count [rad]."""
+"""Change of the joint angle per count [rad]."""
 JOINT_ZERO = 2048
-"""Count of angle 0."""
+"""Count at joint angle 0."""
 ANY_TIME = -(1 << 62)
-"""Earliest arrival of an answer if its counter decides whether it is fresh [ns]."""
+"""Earliest arrival of an answer [ns], for answers with a counter.
+
+The counter alone decides if they are fresh.
+"""
 JOINT_FRAMES = 0x10
-"""Offset from the first tension identifier to the first angle identifier."""
+"""Difference between the identifiers of the first angle frame and the first tension frame."""
 
 
 class SensorDescription(Protocol):
-    """Keys of the section ``sensor_node`` in the hand file that this module uses."""
+    """Keys for this module, in the section ``sensor_node`` of the hand file."""
 
     @property
     def sync_id(self) -> int:
-        """Return the identifier of SYNC."""
+        """Return the identifier of the SYNC frame."""
         ...
 
     @property
@@ -82,34 +90,36 @@ class SensorDescription(Protocol):
 
     @property
     def tendons(self) -> tuple[str, ...]:
-        """Return the names of tendons with a load cell."""
+        """Return the names of the tendons with a load cell."""
         ...
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Return the names of joints with an encoder."""
+        """Return the names of the joints with an encoder."""
         ...
 
     @property
     def joint_decimation(self) -> int:
-        """Return the number of SYNCs per angle frame."""
+        """Return the number of SYNC frames for each answer with joint angles."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class SensorNode:
-    """Sensor node as the host uses it. Immutable.
+    """Sensor node as the host sees it. Objects are immutable.
 
     Attributes:
-        bus: index of the bus.
-        sync_id: identifier of SYNC.
-        ids: identifier of each frame, tension frames first.
-        channels: indices of the tendons or joints in each frame, in the hand's order.
-        lengths: payload length of each frame [bytes].
-        tension_frames: number of tension frames.
-        frame_of: tension frame of each tendon of the hand, -1 without a load cell.
-        decimation: number of SYNCs per angle frame.
-        counters: counter byte of SYNC in successive ticks, repeated from the start at the end.
+        bus: index of the bus of the node.
+        sync_id: identifier of the SYNC frame.
+        ids: identifier of each frame of the node. Frames with tensions come first.
+        channels: indices of the tendons or joints in each of these frames, as numbered in the hand.
+        lengths: payload length of each of these frames [bytes].
+        tension_frames: number of frames with tensions.
+        frame_of: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
+            without a load cell.
+        decimation: number of SYNC frames for each answer with joint angles.
+        counters: counter byte of the SYNC in successive ticks. After the last, the first follows
+            again.
     """
 
     bus: int
@@ -123,7 +133,7 @@ class SensorNode:
     counters: bytes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Compute the counter bytes from the decimation."""
+        """Compute the counter bytes of the SYNC frames from the decimation."""
         object.__setattr__(self, "counters", sync_counters(self.decimation))
 
     @classmethod
@@ -131,8 +141,8 @@ class SensorNode:
         """Return the sensor node of a hand.
 
         Args:
-            node: description of the node.
-            bus: index of the bus.
+            node: description of the node in the hand file.
+            bus: index of the bus of the node.
             tendons: all tendon names of the hand, in order.
             joints: all joint names of the hand, in order.
         """
@@ -154,17 +164,17 @@ class SensorNode:
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifiers of the node's answers."""
+        """Return the identifiers of answers from the node."""
         return frozenset(self.ids)
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers sent only by the host."""
+        """Return the identifiers of frames from a host to the node."""
         return frozenset((self.sync_id,) if self.ids else ())
 
     @property
     def amplifiers(self) -> tuple[Amplifier, ...]:
-        """Return an empty tuple, because the node needs no set-up."""
+        """Return an empty tuple, because the node has no amplifiers that need a set-up."""
         return ()
 
     @property
@@ -174,7 +184,7 @@ class SensorNode:
 
     @property
     def service_ids(self) -> frozenset[int]:
-        """Return an empty set, because the node has only cyclic frames."""
+        """Return an empty set, because the node sends only cyclic frames."""
         return frozenset()
 
     @property
@@ -189,7 +199,7 @@ class SensorNode:
 
     @property
     def sync_message(self) -> Message:
-        """Return the signal table of SYNC: one byte with the counter."""
+        """Return the signal table of the SYNC frame: a single byte with the counter."""
         return Message("sync", self.sync_id, 1, (Signal("counter", Quantity.COUNTER, 0, 8),))
 
     @property
@@ -214,25 +224,26 @@ class SensorNode:
     def tension_low(self) -> float:
         """Return the tared tension below which a load cell or its wire counts as broken [N].
 
-        The threshold is near the lower end of the range of the load cell, so far below zero that
-        noise cannot reach it.
+        The threshold is near the lower end of the range of the load cell. It is so far below zero
+        that noise cannot reach it.
         """
         return TENSION_ZERO_N + LOW_MARGIN_N
 
     @property
     def exchange(self) -> tuple[tuple[int, float], ...]:
-        """Return the frames of a tick as (payload bytes, frames per tick).
+        """Return the frames that a tick exchanges with the node, SYNC first, as (payload bytes, frames per tick).
 
-        The number of an angle frame is the fraction of ticks in which the node sends it.
+        The frames per tick of an angle frame are the fraction of ticks in which the node sends this
+        frame.
         """
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (len(self.ids) - self.tension_frames)
         return ((1, 1.0), *zip(self.lengths, rates, strict=True)) if self.ids else ()
 
     @property
     def messages(self) -> tuple[Message, ...]:
-        """Return the signal tables of the frames, in the order of ``ids``.
+        """Return the signal tables of the node's frames, in the order of ``ids``.
 
-        The channel of a signal is the index of its tendon or joint.
+        ``Signal.channel`` is the index of the tendon or joint.
         """
         messages = []
         for g, (can_id, channels, length) in enumerate(zip(self.ids, self.channels, self.lengths, strict=True)):
@@ -252,29 +263,32 @@ class SensorNode:
         return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
 
     def lost(self, syncs: int, accepted: int, stale: int) -> int:
-        """Return how many tension frames are lost.
+        """Return the number of tension frames that the host has not received.
 
-        Frames of the last SYNC are excluded, since they may still arrive.
+        Answers to the last SYNC are not counted, because they may still arrive.
 
         Args:
-            syncs: number of SYNCs sent.
+            syncs: number of sent SYNC frames.
             accepted: number of accepted tension frames.
-            stale: number of frames that answered an older SYNC.
+            stale: number of received tension frames that answered an older SYNC.
         """
         return max(0, (syncs - 1) * self.tension_frames - accepted - stale)
 
     def group_of_tendon(self, index: int) -> int:
-        """Return the index of the frame with a tendon's load cell, -1 without a load cell."""
+        """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
         return self.frame_of[index]
 
     def group_of_joint(self, index: int) -> int:
-        """Return the index of the frame with a joint's encoder, -1 without an encoder."""
+        """Return the index of the frame with the encoder of a joint, -1 for a joint without an encoder."""
         groups = range(self.tension_frames, len(self.ids))
         return next((g for g in groups if index in self.channels[g]), -1)
 
 
 def _channel_signal(slot: int, index: int, tension: bool) -> Signal:
-    """Return the signal of one channel of a frame, at its position after the counter."""
+    """Return the signal of the channel with index ``slot`` in a frame.
+
+    Channels follow the counter.
+    """
     if tension:
         return Signal(f"tension_{slot}", Quantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS, scale=TENSION_STEP_N,
                       offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
@@ -284,14 +298,15 @@ def _channel_signal(slot: int, index: int, tension: bool) -> Signal:
 
 @functools.lru_cache(maxsize=16)
 def sync_counters(decimation: int) -> bytes:
-    """Return the counter bytes of SYNC for a period of about ``COUNTER_PERIOD`` ticks.
+    """Return the counter bytes of the SYNC frames for a period of about ``COUNTER_PERIOD`` ticks.
 
-    A counter of four bits that counts up has the same value 16 or 32 ticks later, so a frame of
-    that age would seem fresh. These counters are pseudo-random instead. The low four bits of two
-    ticks less than ``DISTINCT_COUNTERS`` apart differ. At larger distances they are equal only by
-    chance. The counter modulo ``decimation`` equals the tick modulo ``decimation``, because the
-    node sends angle frames by this remainder. With a decimation of 8 or more, fewer than three
-    values of the four bits have the same remainder, so the bits of near ticks may be equal.
+    A counter of four bits that counts up has the same value 16 or 32 ticks later. A frame of that
+    age would then seem fresh. These counters are pseudo-random instead. Two ticks less than
+    ``DISTINCT_COUNTERS`` apart differ in the low four bits of the counter. Ticks further apart have
+    equal bits only by chance. The counter modulo ``decimation`` equals the tick modulo
+    ``decimation``, because the node sends angle frames by this remainder. With a decimation of 8 or
+    more, fewer than three values of the four bits have the same remainder. Near ticks may then have
+    equal bits.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
@@ -301,10 +316,10 @@ def sync_counters(decimation: int) -> bytes:
     for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
         chance = chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF  # Knuth's MMIX
         fit = sorted(by_nibble[k % decimation])
-        for old in reversed(recent):  # the latest first
+        for old in reversed(recent):  # the counter of the latest tick is excluded first
             if len(fit) > 2 and old in fit:
                 fit.remove(old)
-        # The high bits of a linear congruential generator are the random ones.
+        # Only the high bits of a linear congruential generator are random.
         nibble = fit[(chance >> 33) % len(fit)]
         result.append(by_nibble[k % decimation][nibble])
         recent = [*recent[2 - DISTINCT_COUNTERS :], nibble]
@@ -312,10 +327,10 @@ def sync_counters(decimation: int) -> bytes:
 
 
 def _channel_groups(channels: list[int]) -> list[tuple[int, ...]]:
-    """Return the channels grouped by frame."""
+    """Return the channels in groups. Each group is the content of one frame."""
     return [tuple(channels[first : first + CHANNELS]) for first in range(0, len(channels), CHANNELS)]
 
 
 def _payload_length(channels: int) -> int:
-    """Return the payload length of a frame [bytes]."""
+    """Return the payload length of a frame with a number of channels [bytes]."""
     return math.ceil((COUNTER_BITS + CHANNEL_BITS * channels) / 8)

@@ -1,4 +1,4 @@
-"""Checks across the sections of a hand file: references, lengths, routing, limits, identifiers."""
+"""Checks across the sections of a hand file: references, lengths of lists, tendon routing, limits, CAN identifiers."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from handctl.hand.description import Hand
 
 SMALLEST_ARM_M = 1e-4
-"""Smallest moment arm [m]."""
+"""Smallest accepted absolute moment arm of a tendon at a joint [m]."""
 LARGEST_ARM_M = 0.05
-"""Largest moment arm [m]."""
+"""Largest accepted absolute moment arm of a tendon at a joint [m]."""
 ARM_SAMPLES = 181
-"""Number of angles at which an arm that depends on the angle is checked."""
+"""Number of joint angles at which a moment arm that depends on the joint angle is checked."""
 MAX_TABLE_RESIDUAL_FRACTION = 0.1
-"""Largest difference of a table of arms from its polynomial, as a fraction of the largest arm."""
+"""Largest difference between a table of moment arms and its polynomial, as a fraction of the largest arm."""
 ROUTING_SAMPLES = 11
-"""Number of postures at which the routing of a digit with arms that depend on the angle is checked."""
+"""Number of postures at which tendon routing is checked, in a digit whose moment arms depend on joint angles."""
 ROUNDING_DEG = 1e-6
 """Tolerance for angles that were converted from rad [deg]."""
 KEYS_PER_LINK = (
@@ -42,30 +42,35 @@ KEYS_PER_LINK = (
 )
 """Keys of a digit with one value per link."""
 MESH_POSE_KEYS = ("link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
-"""Keys of a digit for the meshes in ``link_mesh``."""
+"""Keys of a digit that scale and place the meshes of ``link_mesh``."""
 PALM_POSE_KEYS = ("palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
-"""Keys of the section ``mount`` for ``palm_mesh``."""
+"""Keys of the section ``mount`` that scale and place the mesh of ``palm_mesh``."""
 OPTIONAL_KEYS_PER_LINK = ("joint_axis", "joint_rpy_deg", "joint_rated_torque_N_m", "link_mesh", *MESH_POSE_KEYS)
-"""Keys of a digit with one value per link if the file has the key."""
+"""Optional keys of a digit, with one value per link."""
 UNIT_TOLERANCE = 1e-3
-"""Tolerance for rounding, for the length 1 of an axis and the triangle inequality of inertias."""
+"""Tolerance for rounding errors in the length 1 of an axis, and in the triangle inequality of inertias."""
 STRENGTH_KEY = "rated_breaking_force_N"
 """Key of a tendon's breaking force."""
 LIMIT_KEYS = ("tension_floor_N", "tension_max_N", "tension_trip_N", "drive_limit_N", STRENGTH_KEY)
 """Keys of a tendon's tension limits in ascending order."""
 MIT_REPLY_OFFSET = 0x10
-"""Usual identifier of an MIT drive's reply minus that of its command. Source: Damiao, MST_ID = ESC_ID + 0x10."""
+"""Identifier of the replies of an MIT drive minus that of its commands, without the option ``reply_id``.
+
+Source: Damiao, MST_ID = ESC_ID + 0x10.
+"""
 MIT_REGISTER_ID = 0x7FF
-"""Identifier of all MIT drives' register frames. Source: Damiao manual."""
+"""Identifier that the register frames of all MIT drives share. Source: Damiao manual."""
 CANOPEN_SERVICES = (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)
-"""Identifiers of emergency, TPDO1, RPDO1, SDO in both directions and heartbeat, without the node number that is added.
+"""Identifiers of the CANopen frames emergency, TPDO1, RPDO1, SDO in both directions and heartbeat.
+
+The identifier of a device's frame is this number plus its node number.
 
 Source: CiA 301.
 """
 EXTENDED = 1 << 31
-"""Mark of a 29-bit identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
+"""Bit that marks a 29-bit CAN identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
 STANDARD_IDS = 0x800
-"""Number of 11-bit identifiers."""
+"""Number of 11-bit CAN identifiers."""
 SHARED_IDS = (
     ("mit", MIT_REGISTER_ID, "the register frames of MIT drives"),
     ("odrive", 0x7E2, "the broadcast emergency stop of ODrives"),
@@ -74,7 +79,7 @@ SHARED_IDS = (
 )
 """Identifiers that all motors of a protocol share on a bus: protocol, identifier, name of the frame."""
 MIN_SINGULAR_VALUE_RATIO = 1e-6
-"""Ratio of the smallest to the largest singular value from which a matrix has full rank."""
+"""Ratio of the smallest to the largest singular value above which a matrix counts as having full rank."""
 
 
 Mistakes = Iterator[Mistake]
@@ -83,7 +88,8 @@ Mistakes = Iterator[Mistake]
 def check_hand(hand: Hand) -> Mistakes:
     """Yield the mistakes that concern several sections of a hand.
 
-    A check that needs valid references or shapes runs only if those checks found nothing.
+    Checks that need valid references or shapes run only if the checks of references and shapes
+    found no mistake.
 
     Args:
         hand: hand with valid sections.
@@ -109,15 +115,15 @@ def check_hand(hand: Hand) -> Mistakes:
 
 
 def check_names(hand: Hand) -> Mistakes:
-    """Yield names that occur twice in a kind of section."""
+    """Yield a mistake for each name that two sections of the same kind have."""
     for key in ("bus", "digit", "tendon", "motor"):
         yield from _check_unique([section.name for section in getattr(hand, key)], key + "[{}].name")
 
 
 def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistakes:
-    """Yield mistakes within one section.
+    """Yield the mistakes within single digits and single tendons.
 
-    A section that is valid by itself can be checked without the other sections.
+    These checks need no other sections of the file.
     """
     for digit in digits:
         yield from _check_digit(digit)
@@ -127,7 +133,10 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
 
 
 def _check_unique(names: Iterable[str], where: str) -> Mistakes:
-    """Refuse a repeated name. The repeated name replaces {} in the key path."""
+    """Yield a mistake for each repeated name.
+
+    The repeated name replaces {} in the key path ``where``.
+    """
     seen: set[str] = set()
     for name in names:
         if name in seen:
@@ -136,7 +145,7 @@ def _check_unique(names: Iterable[str], where: str) -> Mistakes:
 
 
 def _check_digit(digit: Digit) -> Mistakes:
-    """Check lengths of lists, order of joint limits, and links of a digit."""
+    """Check a digit: the lengths of its lists, the order of its joint limits, and its links."""
     where = f"digit[{digit.name}]"
     links = len(digit.link_length_m)
     wrong = [
@@ -164,7 +173,7 @@ def _check_digit(digit: Digit) -> Mistakes:
 
 
 def check_mesh_keys(section: Digit | Mount, mesh: str, keys: Iterable[str], where: str) -> Mistakes:
-    """Check that scale and pose of meshes are given with meshes only, and that no scale is 0."""
+    """Check that a section without meshes has no scale and no pose of meshes, and that no scale is 0."""
     for key in keys:
         if getattr(section, mesh) is None and getattr(section, key) is not None:
             yield Mistake(f"given without {mesh}", f"{where}.{key}", f"{mesh} as well, or no such key")
@@ -176,7 +185,7 @@ def check_mesh_keys(section: Digit | Mount, mesh: str, keys: Iterable[str], wher
 
 
 def _check_body(digit: Digit, i: int, where: str) -> Mistakes:
-    """Check centre of mass and inertia of link i against its size."""
+    """Check that centre of mass and inertia of link i are possible for the size of the link."""
     com = digit.link_com_m[i]
     length = digit.link_length_m[i]
     # No part of a link is farther from its centre of mass than the link's length or width.
@@ -226,7 +235,7 @@ def _check_references(hand: Hand) -> Mistakes:
 
 
 def _check_motors(hand: Hand) -> Mistakes:
-    """Check that each tendon has an existing motor of its own, and each motor a tendon."""
+    """Check that each tendon names an existing motor that no other tendon names, and that each motor has a tendon."""
     driven: dict[str, str] = {}
     wrong: list[Mistake] = []
     for tendon in hand.tendon:
@@ -239,19 +248,20 @@ def _check_motors(hand: Hand) -> Mistakes:
         driven[tendon.motor] = tendon.name
     yield from wrong
     for motor in hand.motor:
-        # A motor without tendon is a consequence of a wrong reference, if there is one.
+        # If a tendon names a wrong motor, another motor has no tendon as a consequence. Then only
+        # the wrong name is reported.
         if motor.name not in driven and not wrong:
             yield Mistake("drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon")
 
 
 def _check_name(where: str, name: str, valid: tuple[str, ...]) -> Mistakes:
-    """Refuse a name that is not in the file."""
+    """Yield a mistake if a name is not one of the valid names of the file."""
     if name not in valid:
         yield Mistake(f'"{name}" is not in this file', where, "one of " + ", ".join(valid))
 
 
 def _check_mounts(hand: Hand) -> Mistakes:
-    """Check that a digit on another digit follows it in the file, or follows others on it."""
+    """Check that a digit carried by another digit comes right after it in the file, or after others that it carries."""
     line: list[str] = []
     for digit in hand.digit:
         where = f"digit[{digit.name}].mount_on"
@@ -261,13 +271,16 @@ def _check_mounts(hand: Hand) -> Mistakes:
             if carrier in hand.digit_names:
                 what = f"{digit.name} does not follow {carrier}"
                 yield Mistake(what, where, "each digit right after the one that carries it, or after others on it")
-        # The next digit may be carried by the digit before it, or by one of the carriers of that
+        # The next digit may be carried by this digit, or by one of the digits that carry this
         # digit.
         line = [*line[: line.index(carrier) + 1 if carrier in line else 0], digit.name]
 
 
 def _check_tendon_order(hand: Hand) -> Mistakes:
-    """Check that each tendon moves one digit and passes its carriers only, and the order of the tendons."""
+    """Check that each tendon moves one digit, and that the tendons are in the order of the digits.
+
+    Besides the joints of its digit, a tendon may only pass joints of digits that carry its digit.
+    """
     latest = 0
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].moment_arm_m"
@@ -292,7 +305,10 @@ def _check_tendon_order(hand: Hand) -> Mistakes:
 
 
 def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> Mistakes:
-    """Check size and sign of a moment arm over the joint's range, and that a table covers the range and is smooth."""
+    """Check size and sign of a moment arm over the range of its joint.
+
+    A table of moment arms must cover the range and must be smooth.
+    """
     arm = tendon.moment_arm_m[joint]
     where = f"tendon[{tendon.name}].moment_arm_m.{joint}"
     if not isinstance(arm, dict):
@@ -325,7 +341,7 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> Mistakes:
 
 
 def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
-    """Check that tendons move every coordinate (R B has full column rank) and cross every joint."""
+    """Check that the tendons of a digit move each coordinate (R B has full column rank) and cross each joint."""
     tendons = hand.digit_tendons[digit.name]
     joints = hand.digit_joints[digit.name]
     arms = hand.moment_arms[tendons, joints]
@@ -346,20 +362,21 @@ def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
 
 
 def _rank(arms: NDArray[np.float64]) -> int:
-    """Return the rank of reduced moment arms."""
+    """Return the rank of a matrix of reduced moment arms."""
     values = np.linalg.svd(arms, compute_uv=False)
     return int((values > MIN_SINGULAR_VALUE_RATIO * values.max(initial=0.0)).sum()) if values.size else 0
 
 
 def _check_limits(tendon: Tendon) -> Mistakes:
-    """Check that tension limits rise from the floor to the tendon's strength."""
+    """Check that the tension limits of a tendon increase from the floor to the breaking force."""
     values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
     strength = tendon.rated_breaking_force_N
     too_high = False
     for below, key, above in zip((None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False):
         value = values[key]
         next_value = values[above]
-        # The limit below is too high and was reported, so this limit is not reported as too low.
+        # The limit before this one was reported as too high. Therefore this limit is not reported
+        # as too low.
         too_low = below is not None and value <= values[below] and not too_high
         bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
         if above == STRENGTH_KEY or strength < next_value:
@@ -374,10 +391,12 @@ def _check_limits(tendon: Tendon) -> Mistakes:
 
 
 def _check_pretension(tendon: Tendon) -> Mistakes:
-    """Check that no tendon of a spool pair exceeds a limit of the net tension, and that the pair has no floor.
+    """Check the pretension of a spool pair, and that the pair has no tension floor.
 
-    With the net tension u and the pretension p, the tendon that pulls has the tension max(p + u /
-    2, u).
+    The pretension must not bring a single tendon of the pair above the limits of the net tension.
+
+    With the net tension u and the pretension p, the pulling tendon has the tension max(p + u / 2,
+    u).
     """
     pretension = tendon.pretension_N
     if pretension is None:
@@ -392,7 +411,7 @@ def _check_pretension(tendon: Tendon) -> Mistakes:
 
 
 def _check_pairs(hand: Hand, digit: Digit) -> Mistakes:
-    """Check the spool pairs of a digit: no single tendons, one pair per coordinate, no load cell, no spring."""
+    """Check a digit with spool pairs: one pair per coordinate, no single tendons, load cells on pairs, or springs."""
     tendons = hand.tendon[hand.digit_tendons[digit.name]]
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
     if not pairs:
@@ -417,7 +436,7 @@ def _check_pairs(hand: Hand, digit: Digit) -> Mistakes:
 
 
 def _check_drive(tendon: Tendon, motor: Motor) -> Mistakes:
-    """Check that the drive's torque limit equals its tension limit, and that the motor can reach it."""
+    """Check that a drive's torque limit fits the tendon's ``drive_limit_N``, and that the motor can reach the limit."""
     where = f"motor[{motor.name}].torque_max_N_m"
     limit = tendon.drive_limit_N * motor.spool_radius_m
     if abs(motor.torque_max_N_m - limit) > 0.01 * limit:
@@ -428,7 +447,10 @@ def _check_drive(tendon: Tendon, motor: Motor) -> Mistakes:
 
 
 def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> Mistakes:
-    """Check the keys of a drive that closes the position loop by itself."""
+    """Check the keys for the position loop in a drive.
+
+    Only a drive with ``control = "position"`` may have them.
+    """
     where = f"motor[{motor.name}]"
     if not motor.holds_position:
         for key in ("kp_N_m_per_rad", "kd_N_m_s_per_rad"):
@@ -450,14 +472,14 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> Mistakes:
 
 
 def _check_stream(stream: StreamLimits) -> Mistakes:
-    """Check that a hand without targets holds before it relaxes."""
+    """Check that a hand whose stream of targets stops first holds and later relaxes."""
     if stream.relax_after_ms <= stream.hold_after_ms:
         right = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
         yield Mistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", right)
 
 
 def _check_identifiers(hand: Hand) -> Mistakes:
-    """Check that no two frames on a bus have one identifier."""
+    """Check that no two frames on a bus have the same CAN identifier."""
     owner: dict[tuple[str, object], str] = {}
     wrong: set[str] = set()
     for motor in hand.motor:
@@ -472,9 +494,10 @@ def _check_identifiers(hand: Hand) -> Mistakes:
 
 
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
-    """Yield (bus, identifier, key path) of all frames of a hand.
+    """Yield (bus, identifier, key path) of all CAN frames of a hand.
 
-    For a motor with an unknown protocol, the node number is used as identifier.
+    If the protocol of a motor is unknown here, protocol and node number take the place of the
+    identifier.
     """
     for protocol, identifier, what in SHARED_IDS:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:
@@ -492,25 +515,26 @@ def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
 
 
 def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
-    """Yield (identifier, key path) of the frames of a motor."""
+    """Yield (identifier, key path) of the CAN frames of a motor."""
     where = f"motor[{motor.name}].node_id"
     if motor.protocol == "mit":
         yield motor.node_id, where
         yield _mit_reply_id(motor, where)
     elif motor.protocol == "odrive":
-        # An ODrive owns all 32 commands of its node number.
+        # The identifiers of all 32 commands with its node number belong to an ODrive.
         for message in range(32):
             yield motor.node_id << 5 | message, where
     elif motor.protocol == "cia402":
         for service in CANOPEN_SERVICES:
             yield service + motor.node_id, where
     elif motor.protocol == "moteus":
-        # Requests from source 0 with the reply bit, and replies with 11 bits if the number fits.
+        # First the requests, which come from source 0 and have the reply bit. Then the replies,
+        # with an 11-bit identifier if the number fits.
         yield EXTENDED | 0x8000 | motor.node_id, where
         number = motor.node_id << 8
         yield number if number < STANDARD_IDS else number | EXTENDED, where
     elif motor.protocol == "robstride":
-        # Requests of type 0, and feedback of a running motor to the usual host.
+        # First requests of type 0, then the feedback of a running motor to the default host.
         yield EXTENDED | 0xFD00 | motor.node_id, where
         yield EXTENDED | 0x0280_00FD | motor.node_id << 8, where
     else:
@@ -518,7 +542,7 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
 
 
 def _mit_reply_id(motor: Motor, where: str) -> tuple[object, str]:
-    """Return the reply identifier of an MIT drive, and the key that sets it."""
+    """Return the CAN identifier of the replies of an MIT drive, and the key path that sets the identifier."""
     reply = motor.options.get("reply_id")
     if reply is None:
         return motor.node_id + MIT_REPLY_OFFSET, where
@@ -526,7 +550,7 @@ def _mit_reply_id(motor: Motor, where: str) -> tuple[object, str]:
 
 
 def _check_reply_id(motor: Motor) -> Mistakes:
-    """Check the reply identifier of an MIT drive."""
+    """Check the CAN identifier of the replies of an MIT drive."""
     reply = motor.options.get("reply_id")
     if motor.protocol != "mit" or reply is None:
         return

@@ -1,6 +1,6 @@
-"""Conversion of a hand file of schema 1 to schema 2. Repeated values are written once, and comments are kept.
+"""Conversion of a hand file of schema 1 to schema 2. Schema 2 writes repeated values once. Comments stay in the file.
 
-The text of each value does not change, for example ``0x1A0`` or ``6.384e-3``. A comment stays with
+Each value is written as before, for example as ``0x1A0`` or ``6.384e-3``. A comment stays beside
 its value.
 """
 
@@ -25,22 +25,22 @@ from handctl.hand.file.templates import (
 from handctl.hand.file.toml_text import toml_text
 
 MAX_LINE_LENGTH = 120
-"""Longest line of an inline table."""
+"""Largest length of a line with an inline table."""
 INDIVIDUAL_KEYS = {"digit": {"name", "mount_position_m"}, "tendon": {"name"}, "motor": {"name", "node_id"}}
-"""Keys of a section that cannot be in a default or a template."""
+"""Keys that each section of a kind must have itself, and that no default or template may have."""
 MIN_SECTIONS_TO_SHARE = 2
-"""Number of sections from which a common value becomes a default or a template."""
+"""Smallest number of sections whose common values become a default or a template."""
 
 
 @dataclass
 class Entry:
-    """A line of the file: a key with its value and the comment behind it, or a comment.
+    """Line of a hand file: a key with its value and the comment behind it, or only a comment.
 
     Attributes:
-        key: key, empty for a line that is only a comment or blank.
-        text: text of the value, or the whole line without a key.
-        value: value, None without a key.
-        comment: comment with its #, or empty.
+        key: key of the line, empty for a blank line and for a line with only a comment.
+        text: text of the value. In a line without a key, the whole line.
+        value: parsed value, None in a line without a key.
+        comment: comment behind the value, with its #, or an empty text.
     """
 
     key: str
@@ -49,7 +49,7 @@ class Entry:
     comment: str = ""
 
     def line(self) -> str:
-        """Return the line of the entry."""
+        """Return the text of the line."""
         if not self.key:
             return self.text
         return f"{self.key} = {self.text}" + (f"   {self.comment}" if self.comment else "")
@@ -57,13 +57,13 @@ class Entry:
 
 @dataclass
 class TomlTable:
-    """A table of the file, or its root.
+    """Table of a hand file, or the part of the file before the first table.
 
     Attributes:
-        entries: keys and comments in order.
+        entries: lines of the table, in order.
         before: comment lines in front of the table's header.
         comment: comment behind the header.
-        held: tendons and motors within a digit, by kind and short name.
+        held: tables of the tendons and motors within a digit, by kind and short name.
     """
 
     entries: list[Entry]
@@ -72,22 +72,22 @@ class TomlTable:
     held: dict[str, dict[str, "TomlTable"]] = field(default_factory=lambda: {kind: {} for kind in DIGIT_KINDS})
 
     def values(self) -> dict[str, Any]:
-        """Return the values by key."""
+        """Return the values of the table by key."""
         return {entry.key: entry.value for entry in self.entries if entry.key}
 
     def take(self, keys: Iterable[str]) -> list[Entry]:
-        """Remove keys, and return their entries."""
+        """Remove the lines with the given keys from the table, and return these lines."""
         taken = [entry for entry in self.entries if entry.key in set(keys)]
         self.entries = [entry for entry in self.entries if entry not in taken]
         return taken
 
 
 def convert_to_schema_2(text: str, source: str) -> str:
-    """Return the text of a hand file of schema 1 as schema 2.
+    """Return the text of a hand file of schema 1, converted to schema 2.
 
     Args:
         text: text of a valid hand file of schema 1.
-        source: name of the file in messages.
+        source: name of the file, for messages.
 
     Raises:
         ConfigError: the text is not TOML.
@@ -136,7 +136,7 @@ def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple
 
 
 def _parse_entry(key: str, item: Item) -> list[Entry]:
-    """Return the entries of a key, a comment line or blank lines."""
+    """Return the lines of one TOML item: a key, a comment, or blank lines."""
     if isinstance(item, Whitespace):
         return []
     if isinstance(item, Comment):
@@ -148,7 +148,10 @@ def _parse_entry(key: str, item: Item) -> list[Entry]:
 
 
 def _trailing_comments(block: TomlTable) -> list[str]:
-    """Remove the comment lines at the end of a table, which belong to the next table, and return them."""
+    """Remove the comment lines at the end of a table, and return them.
+
+    They belong to the next table.
+    """
     trailing: list[str] = []
     while len(block.entries) > 1 and not block.entries[-1].key:
         trailing.insert(0, block.entries.pop().text)
@@ -156,7 +159,7 @@ def _trailing_comments(block: TomlTable) -> list[str]:
 
 
 def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[Entry]:
-    """Remove the values that all sections of a kind have in common, and return them."""
+    """Remove the values that all sections of a kind have in common, and return their lines."""
     if kind == "digit":
         for block in blocks:
             _shorten_lists_per_link(block)
@@ -167,7 +170,7 @@ def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[Entry]:
 
 
 def _take_shared_values(blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]) -> list[Entry]:
-    """Remove the values that all blocks have in common, and return these values with all their comments."""
+    """Remove the values that all tables have in common, and return their lines with the comments of all tables."""
     first = blocks[0].values()
     others = [block.values() for block in blocks[1:]]
     keys = [
@@ -185,24 +188,28 @@ def _take_shared_values(blocks: Sequence[TomlTable], can_be: Callable[[str, Any]
 
 
 def _are_equal(one: Any, other: Any) -> bool:
-    """Return True for equal values of one type: true is not 1."""
+    """Return True if two values are equal and both or neither are booleans.
+
+    In TOML, true is not 1.
+    """
     return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
 
 
 def _shorten_lists_per_link(block: TomlTable) -> None:
-    """Replace each list of equal numbers per link by one number."""
+    """Replace each list with the same number for every link by this number."""
     for entry in block.entries:
         values = entry.value
         if entry.key not in KEYS_ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
             continue
         if isinstance(values[0], int | float) and all(value == values[0] for value in values):
-            # The text between the brackets, up to the first comma, is the number as it was written.
+            # Copy the spelling of the number in the file, which is the text between the bracket and
+            # the first comma.
             entry.text = entry.text.strip("[] \n").split(",")[0].strip()
             entry.value = values[0]
 
 
 def _shorten_sensor_node(others: Sequence[tuple[str, TomlTable]], sections: dict[str, list[TomlTable]]) -> None:
-    """Replace the list of all tendons, and the list of all joints, by ``"all"``."""
+    """Replace a list of all tendons or of all joints in the sensor node by ``"all"``."""
     digits = [block.values() for block in sections["digit"]]
     names = {
         "tendons": [block.values().get("name") for block in sections["tendon"]],
@@ -215,7 +222,7 @@ def _shorten_sensor_node(others: Sequence[tuple[str, TomlTable]], sections: dict
 
 
 def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
-    """Move the tendons or motors into the digits whose names they have, if all of them can."""
+    """Move the tendons or motors into the digits whose names they begin with, if this is possible for all of them."""
     moved: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in sections["digit"]}
     for block in sections[kind]:
@@ -249,7 +256,7 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
 
 
 def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
-    """Remove the values that digits with equal links have in common, and return these values as templates."""
+    """Remove the values that digits with equal links have in common, and return templates with these values."""
     groups: dict[str, list[TomlTable]] = {}
     for block in digits:
         groups.setdefault(str(block.values().get("link_length_m")), []).append(block)
@@ -259,8 +266,9 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
             continue
         template = TomlTable(_take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"]))
         for kind in DIGIT_KINDS:
-            # Entries of a template come before those of its digits. Only the entries before the
-            # first difference are moved, because the order must not change.
+            # Tendons and motors of a template come before those that only the digits have. Their
+            # order must not change. Therefore only those before the first difference between the
+            # digits move into the template.
             for short in group[0].held[kind]:
                 if not all(short in block.held[kind] for block in group):
                     break
@@ -280,7 +288,7 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
 def _kind_lines(
     kind: str, default: Sequence[Entry], templates: dict[str, TomlTable], sections: Sequence[TomlTable]
 ) -> list[str]:
-    """Return the lines of the default, the templates and the sections of a kind."""
+    """Return the lines of the file for one kind of section: the default, the templates and the sections."""
     lines = ["", *(sections[0].before if sections else [])]
     if default:
         lines += [f"[default.{kind}]", *(entry.line() for entry in default), ""]
@@ -294,7 +302,7 @@ def _kind_lines(
 
 
 def _header_comment(block: TomlTable) -> str:
-    """Return the comment behind a header."""
+    """Return the text of the comment behind the header of a table."""
     return f"   {block.comment}" if block.comment else ""
 
 
@@ -321,5 +329,5 @@ def _table_lines(block: TomlTable, header: str) -> list[str]:
 
 
 def _inline_table(table: dict[str, Any]) -> str:
-    """Return an inline table."""
+    """Return the text of an inline table."""
     return toml_text({"x": [{"x": table}]}).split("x = ", 1)[1].strip()

@@ -1,8 +1,10 @@
-"""Descriptions of the keys of files. They are the docstrings after the fields of the models.
+"""Descriptions of the keys of hand files and gains files.
 
-pydantic can store them in the fields while it builds a model (``use_attribute_docstrings``). It
-then parses the source of every model in every process. Here the source is parsed when a description
-is needed.
+They are the docstrings after the fields of the pydantic models.
+
+pydantic can store these docstrings in the fields of a model (``use_attribute_docstrings``). Then
+every process parses the source of every model. This module parses the source only when a
+description is needed.
 """
 
 import ast
@@ -19,7 +21,7 @@ from pydantic_core import core_schema
 
 
 def key_description(model: type[BaseModel], field: str) -> str:
-    """Return the description of a field, empty without one.
+    """Return the description of a field, or an empty text if the field has no description.
 
     Args:
         model: model that has the field.
@@ -39,7 +41,10 @@ def field_docstrings(model: type[BaseModel]) -> Mapping[str, str]:
 
 
 def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
-    """Return the docstrings in the body of a class, empty where its source is not installed."""
+    """Return the docstrings of the attributes of a class.
+
+    Without the source of the class, there are none.
+    """
     try:
         source = inspect.getsource(model)
     except OSError:
@@ -50,7 +55,7 @@ def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
 
 
 def _documented(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
-    """Yield name and docstring of each attribute that a string follows."""
+    """Yield name and docstring of each attribute that is followed by a docstring."""
     for statement, following in pairwise(body):
         match statement, following:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
@@ -58,7 +63,7 @@ def _documented(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
 
 
 class DescribedSchema(GenerateJsonSchema):
-    """Generator of a JSON Schema with the description of each key."""
+    """Generator of a JSON Schema that contains the description of each key."""
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
         """Return the JSON Schema of a model."""

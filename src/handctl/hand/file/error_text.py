@@ -1,4 +1,4 @@
-"""Mistakes in a file, each with key path, invalid value, and a valid value."""
+"""Messages about mistakes in a file, each with the key path, the invalid value, and a valid value."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,7 +13,7 @@ from handctl.printing import similar_name
 
 
 class Mistake(NamedTuple):
-    """Mistake in a file.
+    """One mistake in a file.
 
     Attributes:
         what: the mistake, with the invalid value.
@@ -26,12 +26,15 @@ class Mistake(NamedTuple):
     right: str
 
     def error(self, source: str) -> ConfigError:
-        """Return the mistake as an error of one line, with the name of the file."""
+        """Return the mistake as an exception, whose message is one line with the name of the file."""
         return ConfigError(self.what, f"{source}: {self.where}", self.right)
 
 
 SECTION_PATTERN = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
-"""Pattern of the key path of a named section: kind, name, and the rest of the path."""
+"""Pattern of a key path in a named section.
+
+It matches the kind, the name, and the rest of the path.
+"""
 EXPECTED_TYPES = {
     "tuple_type": "a list",
     "dict_type": "a table",
@@ -39,23 +42,26 @@ EXPECTED_TYPES = {
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }
-"""Valid values for pydantic's structural errors, in the terms of TOML. All other errors contain ``right``."""
+"""Valid values in the terms of TOML, by the type of a structural error of pydantic.
+
+All other errors contain a valid value themselves, as ``right``.
+"""
 
 
 def validation_mistakes(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any]) -> list[Mistake]:
-    """Return a mistake for each validation error.
+    """Return one mistake for each validation error of pydantic.
 
-    Unknown keys come first. A misspelt key is reported both as unknown and as missing, and the
-    spelling is the cause.
+    Mistakes about unknown keys come first. A misspelt key is reported twice, as unknown and as
+    missing, and the unknown key is the cause.
 
     Args:
         error: error raised by pydantic.
-        model: model of the document, for the names of valid keys.
-        content: validated content, for the names of list entries.
+        model: pydantic model of the file, for the names of valid keys.
+        content: content of the file that pydantic validated, for the names of list entries.
     """
     details = error.errors(include_url=False)
     within = {detail["loc"][:1] for detail in details if len(detail["loc"]) > 1}
-    # A list whose entries are refused is also too short for pydantic.
+    # If pydantic refuses entries of a list, it also reports that the list is too short.
     details = [detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within]
     unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
     found = [_unknown_key_mistake(detail["loc"], model, content) for detail in unknown]
@@ -80,7 +86,10 @@ WITHIN_DIGITS = ("tendon", "motor")
 
 
 def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel]) -> str:
-    """Return the expected text for a missing key: the form of a section, and the first sentence of the description."""
+    """Return the text that a file should have for a missing key.
+
+    It is the form of a section or value, and the first sentence of the description of the key.
+    """
     field = _field_of_key(location, model)
     if field is None:
         return "a value"
@@ -95,25 +104,28 @@ def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel
 
 
 class _Field(NamedTuple):
-    """Name and field of a model's attribute."""
+    """Field of a pydantic model: the model, and the name of the attribute."""
 
     model: type[BaseModel]
     name: str
 
 
 def _meaning(field: _Field | None) -> str:
-    """Return the first sentence of the description of a key after a colon, empty without a description."""
+    """Return a colon and the first sentence of a key's description, or an empty text without a description."""
     text = first_sentence(key_description(*field)) if field else ""
     return f": {text}" if text else ""
 
 
 def first_sentence(description: str) -> str:
-    """Return the first sentence of the description of a key, in one line without its full stop."""
+    """Return the first sentence of a description, as one line without the full stop."""
     return " ".join(re.split(r"\.\s", description, maxsplit=1)[0].rstrip(".").replace("``", "").split())
 
 
 def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _Field | None:
-    """Return the field of a key, None for a key without one, such as an entry of a list."""
+    """Return the field of a key.
+
+    An entry of a list, for example, has no field. Then return None.
+    """
     *tables, key = location
     for part in tables:
         if isinstance(part, str):
@@ -126,7 +138,7 @@ def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _Fie
 
 
 def _unknown_key_mistake(location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]) -> Mistake:
-    """Return the mistake of an unknown key, with the most similar valid key."""
+    """Return the mistake for an unknown key, with the most similar valid key as the valid value."""
     if location[0] == "motor" and location[-1] == "mode":
         return Mistake("a hand commands torques", key_path(content, location), "no mode; one drive: handctl jog --mode")
     valid = most_similar_key(str(location[-1]), _valid_keys_at(model, location[:-1]))
@@ -134,9 +146,9 @@ def _unknown_key_mistake(location: Sequence[str | int], model: type[BaseModel], 
 
 
 def with_paths_of_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mistake]:
-    """Return mistakes of resolved content with the key paths of the file.
+    """Return the mistakes of resolved content with key paths as they are in the file.
 
-    A value of a default or template is used in many sections. Only the first mistake of such a
+    Many sections use the same value of a default or template. Only the first mistake about such a
     value is returned.
 
     Args:
@@ -153,9 +165,12 @@ def with_paths_of_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) 
 
 
 def group_mistakes(mistakes: Iterable[Mistake]) -> list[Mistake]:
-    """Join mistakes that differ only in the name of the section, in the order of the first of each.
+    """Join mistakes that differ only in the name of the section.
 
-    The key path of several sections names at most three: ``tendon[a, b and 4 more].knee_N``.
+    Each joined mistake has the place of its first mistake.
+
+    The key path of a joined mistake names at most three sections: ``tendon[a, b and 4
+    more].knee_N``.
     """
     names: dict[Mistake, list[str]] = {}
     for mistake in mistakes:
@@ -168,12 +183,18 @@ def group_mistakes(mistakes: Iterable[Mistake]) -> list[Mistake]:
 
 
 def shortened_list(names: Sequence[str]) -> str:
-    """Join names, at most three of them in full."""
+    """Join names with commas.
+
+    Of more than three names, write the first two and the number of the others.
+    """
     return ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"
 
 
 def _path_in_file(path: str, origins: Mapping[str, str]) -> str:
-    """Return the key path in the file of the longest known part of a path, with the rest of the path."""
+    """Return the key path in the file for a key path of the resolved content.
+
+    The longest part of the path with an entry in ``origins`` is replaced, and the rest stays.
+    """
     part = path
     while part:
         if part in origins:
@@ -183,7 +204,7 @@ def _path_in_file(path: str, origins: Mapping[str, str]) -> str:
 
 
 def key_path(content: Any, location: Sequence[str | int]) -> str:
-    """Return a readable path: ``digit[index].link_mass_kg[1]``, with list entries by their names."""
+    """Return a readable key path such as ``digit[index].link_mass_kg[1]``, with the names of list entries."""
     path = ""
     for part in location:
         try:
@@ -199,13 +220,13 @@ def key_path(content: Any, location: Sequence[str | int]) -> str:
 
 
 def toml_spelling(value: Any) -> str:
-    """Return a value in TOML's spelling, shortened if long."""
+    """Return a value as it is spelled in TOML, shortened if the text is long."""
     text = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _valid_keys_at(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:
-    """Return the valid keys of the table at a location."""
+    """Return the valid keys of the table at a location in the file."""
     for part in location:
         if isinstance(part, str):
             model = next(m for m in _models_in(model.model_fields[part].annotation))
@@ -213,12 +234,12 @@ def _valid_keys_at(model: type[BaseModel], location: Sequence[str | int]) -> lis
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    """Return the models that an annotation such as ``tuple[Digit, ...]`` contains."""
+    """Return the pydantic models that a type annotation such as ``tuple[Digit, ...]`` contains."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in getattr(annotation, "__args__", ()) for model in _models_in(part)]
 
 
 def most_similar_key(key: str, valid: list[str]) -> str:
-    """Return the most similar valid key, or all valid keys."""
+    """Return the valid key that is most similar to a key, or all valid keys if none is similar."""
     return similar_name(key, valid) or "one of " + ", ".join(valid)

@@ -17,13 +17,17 @@ from handctl.hand.formats.model_tree import ModelDigit, ModelMesh
 from handctl.hand.link_bodies import rpy_of
 
 SMALLEST_ARM_M = 1e-4
-"""Smallest moment arm of a tendon [m]."""
+"""Smallest absolute moment arm of a tendon [m]."""
 LARGEST_ARM_M = 0.05
-"""Largest moment arm. Coefficients of fixed tendons of MJCF that are not in this range are not lengths."""
+"""Largest absolute moment arm of a tendon [m].
+
+If a coefficient of a fixed tendon in MJCF is not between these limits, it is not taken as a moment
+arm.
+"""
 ROUNDING_TOLERANCE = 1e-9
-"""Tolerance for rounding in an axis or a rotation."""
+"""Tolerance for rounding errors in an axis, a position or a rotation."""
 DECIMALS = 12
-"""Decimals of a length, a mass or an inertia in SI units."""
+"""Number of decimals that are written of a length, a mass or an inertia in SI units."""
 CHOSEN_KEYS = {
     "protocol",
     "tendons",
@@ -36,36 +40,38 @@ CHOSEN_KEYS = {
     "position_range_rad",
     "velocity_range_rad_s",
 }
-"""Keys whose value is chosen by the user and not measured."""
+"""Keys whose values the user chooses. All other missing values must be measured."""
 MISSING_ARMS_COMMENT = (
     f"{UNMEASURED} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
 )
-"""Comment of a tendon without moment arms."""
+"""Comment in the new file behind a tendon without moment arms."""
 PLACEHOLDER_TENDONS_COMMENT = (
     "# The tendons below only stand for those of the hand: one for each {}. Add, remove and rename them.\n"
 )
-"""Comment if the description has no tendons."""
+"""Comment at the top of the new file if the description has no tendons."""
 Z_AXIS = (0.0, 0.0, 1.0)
-"""Axis of a hinge without ``joint_axis``."""
+"""Axis of each hinge of a digit without ``joint_axis``."""
 
 
 @dataclass(frozen=True)
 class TendonAnswers:
-    """Answers to questions about values that a robot description does not contain. None writes ``"TODO"`` for a value.
+    """The user's answers about values that a robot description does not contain.
+
+    Without an answer, the file says ``"TODO"``.
 
     Attributes:
         name: name of the hand.
-        tendons: ``one`` per digit, or one ``each`` joint. Without an answer the file has one tendon
-            for each joint.
+        tendons: ``one`` for one tendon per digit, ``each`` for one per joint. Without an answer,
+            the file has one tendon per joint.
         pulley_mm: moment arm of the tendons at the joints [mm].
         spool_mm: radius of the spools [mm].
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
         protocol: protocol of the drives.
-        first_node: node number of the first drive on each bus. The others follow.
-        cells: ``all`` or ``none`` of the tendons have a load cell.
-        encoders: ``all`` or ``none`` of the joints have an encoder.
-        springs: ``none`` if antagonists return the digits, ``all`` if springs do.
+        first_node: node number of the first drive on each bus. Further drives get the next numbers.
+        cells: ``all`` if all tendons have a load cell, ``none`` if no tendon has one.
+        encoders: ``all`` if all joints have an encoder, ``none`` if no joint has one.
+        springs: ``all`` if springs open the digits, ``none`` if antagonistic tendons open them.
     """
 
     name: str | None = None
@@ -83,16 +89,17 @@ class TendonAnswers:
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """Hand of a robot description.
+    """Hand as a robot description (URDF or MJCF) describes it.
 
     Attributes:
-        source: name of the file.
+        source: name of the file of the description.
         name: name of the hand.
-        gravity: (3,) in the palm frame [m/s2], None if the description has none.
-        palm: rotation of the palm frame in the root frame (3, 3).
-        digits: digits, each after the digit that carries it.
-        tendons: tables with ``name``, ``arms``, ``motor`` and ``tension_max``.
-        palm_mesh: mesh of the palm in its frame, None without.
+        gravity: (3,) gravitational acceleration in the palm frame [m/s2], None if the description
+            has none.
+        palm: (3, 3) rotation from the palm frame to the root frame of the description.
+        digits: digits of the hand, each after the digit that carries it.
+        tendons: a table for each tendon, with ``name``, ``arms``, ``motor`` and ``tension_max``.
+        palm_mesh: mesh of the palm in the palm frame, None for a palm without a mesh.
     """
 
     source: str
@@ -106,7 +113,7 @@ class Described:
 
 @dataclass(frozen=True)
 class _Line:
-    """Line of a section: a key, the text of its value, and a comment."""
+    """Line of a section of the new file: a key, the text of its value, and a comment."""
 
     key: str
     value: str
@@ -117,10 +124,10 @@ class _Line:
 
 
 def usable_tendons(described: Described) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the tendons of a description that a hand file can describe, and a note for each other tendon.
+    """Return the tendons of a description that a hand file can express, and notes about the other tendons.
 
-    Each has ``digit``, ``name``, ``motor``, ``arms`` by the short names of the joints, and
-    ``tension_max``.
+    The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max``, and ``arms`` by
+    the short names of the joints.
     """
     places = {joint: (digit.name, f"j{i + 1}") for digit in described.digits for i, joint in enumerate(digit.joints)}
     usable: list[dict[str, Any]] = []
@@ -143,8 +150,8 @@ def usable_tendons(described: Described) -> tuple[list[dict[str, Any]], list[str
             }
             own |= {"arms": {joint: arm for (_, joint), arm in arms.items()}, "tension_max": tendon["tension_max"]}
             usable.append(own)
-    # Tendons that do not move every joint are a mechanism of the model, and not the drive of the
-    # hand.
+    # If the tendons together do not move every joint, they model a mechanism, and other actuators
+    # drive the hand.
     moved = {(tendon["digit"], joint) for tendon in usable for joint in tendon["arms"]}
     if usable and moved != set(places.values()):
         notes.append("the tendons of the file are not read: they do not move every joint")
@@ -156,9 +163,9 @@ def described_text(described: Described, answers: TendonAnswers, options: str, c
     """Return the text of a hand file of schema 2.
 
     Args:
-        described: hand of a description.
-        answers: answers about its tendons.
-        options: line with the options of the drives, empty without.
+        described: hand of a robot description.
+        answers: the user's answers about values that the description does not contain.
+        options: line with the options of the drives, empty for drives without options.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
     tendons, _ = usable_tendons(described)
@@ -186,7 +193,7 @@ def described_text(described: Described, answers: TendonAnswers, options: str, c
 
 
 def _skeleton(digit: ModelDigit, answers: TendonAnswers) -> Iterable[dict[str, Any]]:
-    """Yield tendons of a digit, with arms if they are known."""
+    """Yield placeholder tendons for a digit, with moment arms if the user gave one."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
     arm = None if answers.pulley_mm is None else 1e-3 * answers.pulley_mm
     crossed = [joints] if answers.tendons == "one" else [joints[: i + 1] for i in range(len(joints))]
@@ -201,7 +208,7 @@ def _skeleton(digit: ModelDigit, answers: TendonAnswers) -> Iterable[dict[str, A
 
 
 def _buses(described: Described, tendons: Sequence[Mapping[str, Any]]) -> dict[str, int]:
-    """Return the bus of each digit. The motors of a digit are on one bus."""
+    """Return the bus of each digit. All motors of a digit are on the same bus."""
     buses = {}
     bus = used = 0
     for digit in described.digits:
@@ -218,7 +225,7 @@ def _bus_name(bus: int) -> str:
 
 
 def _head(described: Described, answers: TendonAnswers, buses: int, can_fd: bool) -> str:
-    """Return the tables before the digits."""
+    """Return the text of the tables before the first digit."""
     joints = sum(len(digit.joints) for digit in described.digits)
     turned = (
         ""
@@ -243,7 +250,7 @@ def _head(described: Described, answers: TendonAnswers, buses: int, can_fd: bool
 
 
 def _sensor_node(answers: TendonAnswers) -> str:
-    """Return the section of the sensors, empty for a hand without sensors."""
+    """Return the text of the section ``sensor_node``, empty for a hand without sensors."""
     if answers.cells == answers.encoders == "none":
         return ""
     sync, base = SENSOR_IDS.get(answers.protocol or "", SENSOR_IDS["mit"])
@@ -263,7 +270,7 @@ def _sensor_node(answers: TendonAnswers) -> str:
 
 
 def _common_lines(described: Described, answers: TendonAnswers) -> list[_Line]:
-    """Return the default values of all digits that the description does not contain."""
+    """Return lines for the values of digits that the description does not contain, to be set once for all digits."""
     links = [link for digit in described.digits for link in digit.links]
     known = {
         "link_radius_m": any(link.radius for link in links),
@@ -276,7 +283,7 @@ def _common_lines(described: Described, answers: TendonAnswers) -> list[_Line]:
 
 
 def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_Line]:
-    """Return the values of a digit that the description contains."""
+    """Return lines for the values of a digit, as far as the description contains them."""
     links = digit.links
     lines = [_Line("name", f'"{digit.name}"')]
     if digit.carrier is not None:
@@ -307,7 +314,7 @@ def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_Line]:
 
 
 def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_Line]:
-    """Yield the keys of the mesh of the palm that differ from their defaults."""
+    """Yield lines for the mesh of the palm. Keys with their default value are left out."""
     if mesh is None:
         return
     yield _Line("palm_mesh", quoted(mesh.file))
@@ -320,7 +327,7 @@ def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_Line]:
 
 
 def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_Line]:
-    """Yield the keys of the meshes of a digit that differ from their defaults."""
+    """Yield lines for the meshes of a digit. Keys with their default value are left out."""
     if not any(meshes):
         return
     none = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
@@ -335,12 +342,15 @@ def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_Line]:
 
 
 def _scale(scale: Array) -> str:
-    """Return a scale as text, one number if it is equal along all axes."""
+    """Return the scale of a mesh as text. It is one number if the scale is equal along all axes."""
     return _number(float(scale[0])) if scale[0] > 0.0 and not np.ptp(scale) else _numbers(scale)
 
 
 def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Line]:
-    """Yield damping, armature and springs of a digit. The value 0 means that the description has no value."""
+    """Yield lines for damping, armature and springs of a digit.
+
+    In a description, the value 0 means that the value is not described.
+    """
     links = digit.links
     values = {
         "joint_damping_N_m_s_per_rad": [link.damping for link in links],
@@ -355,7 +365,10 @@ def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Line]:
 
 
 def _drive_lines(tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int, int | None]) -> Iterable[_Line]:
-    """Yield tendons and motors of a digit. The node numbers on each bus are consecutive."""
+    """Yield lines for the tendons and motors of a digit.
+
+    The node numbers on each bus are consecutive.
+    """
     for tendon in tendons:
         arms = tendon["arms"]
         words = [f'motor = "{tendon["motor"]}"']
@@ -373,7 +386,7 @@ def _drive_lines(tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int
 
 
 def _tendon_lines(answers: TendonAnswers) -> Iterable[_Line]:
-    """Yield the values of all tendons."""
+    """Yield lines for the values that all tendons have in common."""
     tension = answers.tension_N
     given: dict[str, float | None] = {
         "stiffness_N_per_m": None,
@@ -394,7 +407,7 @@ def _tendon_lines(answers: TendonAnswers) -> Iterable[_Line]:
 
 
 def _motor_lines(answers: TendonAnswers) -> Iterable[_Line]:
-    """Yield the values of all motors."""
+    """Yield lines for the values that all motors have in common."""
     torque = None
     if answers.tension_N is not None and answers.spool_mm is not None:
         torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
@@ -420,7 +433,7 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_Line]:
 
 
 def _todo(section: type[Section], key: str) -> _Line:
-    """Return the line of a missing value."""
+    """Return the line of a key whose value is missing, with ``"TODO"`` as its value."""
     verb = "set" if key in CHOSEN_KEYS else "measure"
     return _Line(key, f'"{UNMEASURED}"', f"{UNMEASURED} {verb}: {_meaning(section, key)}")
 
@@ -431,48 +444,48 @@ def _meaning(section: type[Section], key: str) -> str:
 
 
 def _section(name: str, lines: Iterable[_Line]) -> str:
-    """Return a section, empty without lines."""
+    """Return the text of a section, or an empty text if there are no lines."""
     return "\n".join([f"[{name}]", *map(str, lines)])
 
 
 def _short(name: str, digit: str) -> str:
-    """Return the name of a tendon or motor within its digit."""
+    """Return the short name of a tendon or motor, without the name of its digit."""
     short = name.removeprefix(f"{digit}_")
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in short)
 
 
 def _moments(inertia: Array) -> Array:
-    """Return the three or six values of an inertia, (3, 3) [kg m2]."""
+    """Return the three moments of an inertia (3, 3) [kg m2], followed by three products if they are not zero."""
     mixed = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
     principal = np.diag(inertia)
     return principal if np.abs(mixed).max() < 1e-9 * principal.max() else np.concatenate((principal, mixed))
 
 
 def _degrees(rotation: Array) -> str:
-    """Return roll, pitch and yaw of a rotation (3, 3) [deg]."""
+    """Return the text of roll, pitch and yaw [deg] of a rotation (3, 3)."""
     return _numbers(np.degrees(rpy_of(rotation)))
 
 
 def _number(value: float) -> str:
-    """Return a number with ten digits."""
+    """Return the text of a number with ten significant digits."""
     number = float(f"{value:.10g}")
     return repr(0.0 if abs(number) < 10.0**-DECIMALS else number)
 
 
 def _numbers(values: Iterable[float]) -> str:
-    """Return a list of numbers."""
+    """Return the text of a list of numbers."""
     return "[" + ", ".join(_number(float(value)) for value in values) + "]"
 
 
 def _rows(rows: Iterable[Iterable[float]]) -> str:
-    """Return a list of lists of numbers."""
+    """Return the text of a list of lists of numbers."""
     return "[" + ", ".join(_numbers(row) for row in rows) + "]"
 
 
 def _table(values: Mapping[str, float]) -> str:
-    """Return an inline table of numbers, without its braces."""
+    """Return the text of an inline table of numbers, without the braces."""
     return ", ".join(f"{key} = {_number(value)}" for key, value in values.items())
 
 
 ANSWERS = tuple(one.name for one in fields(TendonAnswers))
-"""Names of all answers."""
+"""Names of all answers of the user."""

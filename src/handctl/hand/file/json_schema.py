@@ -1,4 +1,7 @@
-"""JSON Schema of hand files, for completion and checks in editors. ``handctl config schema`` prints it."""
+"""JSON Schema of hand files, for completion and checks in editors.
+
+``handctl config schema`` prints the schema.
+"""
 
 import json
 from copy import deepcopy
@@ -17,18 +20,18 @@ from handctl.hand.file.templates import (
 )
 
 SCHEMA_DRAFT = "http://json-schema.org/draft-07/schema#"
-"""Version of JSON Schema that TOML editors support."""
+"""Identifier of the version of JSON Schema. TOML editors support this version."""
 DEFINITIONS = {"digit": "Digit", "tendon": "Tendon", "motor": "Motor"}
-"""Name of the definition of a section of each kind."""
+"""Name of the schema's definition for each kind of section."""
 VALUES = {kind: f"{name}Values" for kind, name in DEFINITIONS.items()}
-"""Definition of the values of a default, a template, or a table within a digit."""
+"""Name of the schema's definition for a default, a template, or a table within a digit, of each kind."""
 
 
 def hand_schema() -> dict[str, Any]:
     """Return the JSON Schema of a hand file of schema 2. Files of schema 1 also conform to it.
 
-    Every key of a digit, tendon or motor is optional for an editor, because a default or template
-    can have it. ``handctl config check`` finds what is missing.
+    In the schema, every key of a digit, tendon or motor is optional, because a default or template
+    can have the key. ``handctl config check`` reports missing keys.
     """
     schema = Hand.model_json_schema(by_alias=True, schema_generator=DescribedSchema)
     definitions = schema["definitions"] = schema.pop("$defs")
@@ -64,12 +67,12 @@ def hand_schema() -> dict[str, Any]:
 
 
 def hand_schema_text() -> str:
-    """Return the JSON Schema as text."""
+    """Return the text of the JSON Schema of hand files."""
     return json.dumps(hand_schema(), indent=1, sort_keys=True) + "\n"
 
 
 def _extend_digit(definition: dict[str, Any]) -> None:
-    """Add the forms that a digit has only in schema 2."""
+    """Add to the definition of a digit the forms that are valid only in hand files of schema 2."""
     properties = definition["properties"]
     for kind in DIGIT_KINDS:
         properties[kind] = _table_array_schema(kind, f"Each {kind} of this digit, named DIGIT_NAME.")
@@ -80,17 +83,20 @@ def _extend_digit(definition: dict[str, Any]) -> None:
 
 
 def _table_array_schema(kind: str, description: str) -> dict[str, Any]:
-    """Return the schema of a table of tables of a kind."""
+    """Return the JSON Schema of a table of named tables of one kind."""
     return {"type": "object", "description": description, "additionalProperties": _reference_to(VALUES[kind])}
 
 
 def _reference_to(name: str) -> dict[str, Any]:
-    """Return a reference to a definition."""
+    """Return a reference to a definition of the JSON Schema."""
     return {"$ref": f"#/definitions/{name}"}
 
 
 def _in_draft_vocabulary(node: Any) -> Any:
-    """Return a schema with the keywords of draft 7, without titles that only repeat a key."""
+    """Return a JSON Schema with the keywords of draft 7.
+
+    Titles that only repeat a key are removed.
+    """
     if isinstance(node, list):
         return [_in_draft_vocabulary(entry) for entry in node]
     if not isinstance(node, dict):
@@ -99,7 +105,7 @@ def _in_draft_vocabulary(node: Any) -> Any:
         node = {**node, "items": node["prefixItems"]}
         del node["prefixItems"]
     if isinstance(node.get("$ref"), str):
-        # Draft 7 ignores other keywords beside a reference.
+        # In draft 7, other keywords beside a reference have no effect.
         node = {"$ref": node["$ref"].replace("#/$defs/", "#/definitions/")}
     return {
         key: value.replace("``", "`")

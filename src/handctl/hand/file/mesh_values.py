@@ -1,4 +1,4 @@
-"""Kinds of value in the mesh keys of a hand file."""
+"""Types of the values that the mesh keys of a hand file can have."""
 
 from pathlib import PurePath
 from typing import Annotated, Any
@@ -10,11 +10,11 @@ SUFFIXES = (".stl", ".obj")
 LARGEST_SCALE = 1000.0
 """Largest factor from the unit of a mesh to metres."""
 SMALLEST_SCALE = 1e-6
-"""Smallest such factor."""
+"""Smallest factor from the unit of a mesh to metres."""
 
 
 def _check_mesh_file(value: Any) -> str:
-    """Return a valid path of a mesh file, or an empty string without a mesh."""
+    """Return the value if it is a valid path of a mesh file. An empty string means no mesh."""
     printable = isinstance(value, str) and value.isprintable()
     if not printable or (value and PurePath(value).suffix.lower() not in SUFFIXES):
         raise validation_error(f'a file of type {" or ".join(SUFFIXES)}, or "" for none')

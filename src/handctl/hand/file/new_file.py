@@ -1,4 +1,7 @@
-"""Text of a new hand file from a few answers. A comment marks each assumed number."""
+"""Text of a new hand file from a few answers of the user.
+
+In the file, a comment marks each assumed number.
+"""
 
 import json
 import math
@@ -10,57 +13,65 @@ from handctl.errors import ConfigError
 from handctl.hand.file.quantities import NAME_PATTERN
 
 DENSITY_KG_M3 = 1050.0
-"""Density of printed links."""
+"""Density of 3D-printed links [kg/m3]."""
 TENSION_FLOOR_N = 2.0
 """Tension floor of a new hand [N]."""
 PRELOAD_RAD = 0.6
-"""Preload of the springs of a new hand [rad]."""
+"""Preload of the return springs of a new hand [rad]."""
 OPENING_TORQUE_RATIO = 3.0
-"""Torque of the springs of an open digit divided by the torque of the tension floor."""
+"""Torque of a return spring in the open digit, divided by the torque of the tension floor at the same joint."""
 TRIP_RATIO = 1.2
-"""Trip limit divided by the largest commanded tension."""
+"""Tension limit ``tension_trip_N`` divided by the largest commanded tension."""
 DRIVE_LIMIT_RATIO = 1.4
-"""Tension at the drive's own torque limit divided by the largest commanded tension."""
+"""Tension at the torque limit inside the drive, divided by the largest commanded tension."""
 OBJECT_DIAMETER_RATIO = 0.75
-"""Smallest diameter of an object divided by the length of the digits.
+"""Smallest diameter of a graspable object divided by the length of the digits.
 
-Around thinner objects the tips of opposed digits meet.
+Around a thinner object, the tips of opposed digits would touch each other.
 """
 SMALLEST_OBJECT_MM = 35.0
-"""Smallest diameter with space in front of the palm [mm]."""
+"""Smallest diameter of an object for which the palm gets space [mm]."""
 STRAIGHT_OBJECT_MM = 26.0
 """Smallest free distance between two facing digits of one link, for a grasp [mm]."""
 CLEARANCE_MM = 5.0
-"""Space between the open digits and an object [mm]."""
+"""Free space between the open digits and an object [mm]."""
 DIGIT_LENGTH_RATIO = 14.0
-"""Length of a digit divided by the moment arm at its joints. With this ratio digits of any length press equally."""
+"""Length of a digit divided by the moment arm at its joints.
+
+With this ratio, digits of any length press equally hard.
+"""
 SIDE_GAP_MM = 2.0
 """Space on each side of a digit [mm]."""
 ROW_WIDTH_MM = 80.0
-"""Largest width of a row with gaps for opposed digits [mm]."""
+"""Largest width of a row of digits, if the gaps are wide enough for the opposed digits [mm]."""
 MOTORS_PER_BUS = 8
 """Largest number of motors on a bus. A classical bus of 1 Mbit/s carries 8 motors at 250 Hz."""
 SENSOR_IDS = {"mit": ("0x080", "0x1A0"), "odrive": ("0x700", "0x720")}
-"""Identifiers of SYNC and of the first sensor frame. ODrive n has the identifiers 32 n to 32 n + 31."""
+"""CAN identifiers of SYNC and of the first sensor frame, by drive protocol.
+
+The ODrive with node number n has the identifiers 32 n to 32 n + 31.
+"""
 FINGER_NAMES = ("index", "middle", "ring", "little")
-"""Names of the first digits of one side. Further digits are numbered."""
+"""Names of the first fingers. Further fingers have a number in their name."""
 MAX_DIGITS_PER_SIDE = 8
-"""Largest number of digits on a side."""
+"""Largest number of digits on one side of the hand."""
 
 
 @dataclass(frozen=True)
 class HandAnswers:
-    """Answers about a hand.
+    """The user's answers about a new hand.
 
     Attributes:
         name: name of the hand.
-        fingers: number of equal digits on one side.
-        opposed: number of equal digits that close against them.
+        fingers: number of fingers, which are equal digits on one side of the palm.
+        opposed: number of equal digits on the other side, which close against the fingers.
         links_mm: length of each link of a digit, from the palm outwards [mm].
         width_mm: width of the links [mm].
-        palm_mm: distance between the two sides [mm], None for a value in proportion to the digits.
-        tendons: ``one`` per digit, or one ``each`` joint.
-        pulley_mm: moment arm at the joints [mm], None for a value in proportion to the digits.
+        palm_mm: distance between the two sides [mm]. If it is None, the distance follows from the
+            length of the digits.
+        tendons: ``one`` for one tendon per digit, ``each`` for one tendon per joint.
+        pulley_mm: moment arm of the tendons at the joints [mm]. If it is None, the arm follows from
+            the length of the digits.
         spool_mm: radius of the spools [mm].
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
@@ -87,25 +98,31 @@ class HandAnswers:
 
     @property
     def palm(self) -> float:
-        """Return the distance between the two sides [mm]. The default leaves space for a thick object."""
+        """Return the distance between the two sides of digits [mm].
+
+        The default leaves space for a thick object.
+        """
         return self.spacious_palm if self.palm_mm is None else self.palm_mm
 
     @property
     def spacious_palm(self) -> float:
-        """Return the distance between the two sides for a thick object [mm]."""
+        """Return the distance between the two sides that leaves space for a thick object [mm]."""
         return max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_mm) + self.width_mm + CLEARANCE_MM
 
     @property
     def pulley(self) -> float:
-        """Return the moment arm at the joints [mm], by default in proportion to the digits."""
+        """Return the moment arm at the joints [mm].
+
+        By default it is in proportion to the length of the digits.
+        """
         return self.digit_mm / DIGIT_LENGTH_RATIO if self.pulley_mm is None else self.pulley_mm
 
 
 def check_answers(answers: HandAnswers) -> None:
-    """Check answers that would not lead to a valid hand file. The hand file has further limits.
+    """Check the answers. The checks of the hand file find further mistakes.
 
     Raises:
-        ConfigError: a name or a number of digits is wrong.
+        ConfigError: the name, a number of digits, the palm distance or the links are wrong.
     """
     check_name(answers.name)
     for option, count in (("--fingers", answers.fingers), ("--opposed", answers.opposed)):
@@ -131,8 +148,8 @@ def check_name(name: str) -> None:
 
 
 def palm_warnings(answers: HandAnswers) -> tuple[str, ...]:
-    """Return warnings about facing digits and a narrow palm, one line per warning."""
-    # Digits with straight links can touch a thinner object before their tips meet.
+    """Return warnings about a palm that is too narrow for digits that face each other, one line per warning."""
+    # Digits with a single straight link touch thinner objects before their tips meet.
     enough = answers.spacious_palm if len(answers.links_mm) > 1 else answers.width_mm + STRAIGHT_OBJECT_MM
     if answers.fingers != answers.opposed or answers.palm >= enough:
         return ()
@@ -146,7 +163,7 @@ def new_hand_text(answers: HandAnswers, options: Mapping[str, Any], can_fd: bool
     """Return the text of a hand file of schema 2.
 
     Args:
-        answers: checked answers.
+        answers: the user's answers, already checked.
         options: options of a drive of the protocol.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
@@ -159,7 +176,7 @@ def new_hand_text(answers: HandAnswers, options: Mapping[str, Any], can_fd: bool
     for number, ((name, side), z) in enumerate(digits):
         y = (0.5 - side) * answers.palm * 1e-3
         bus = buses[number // per_bus]
-        # Node numbers begin at 1 on each bus.
+        # The node numbers on each bus begin at 1.
         first = number % per_bus * len(motors) + 1
         on_bus = "" if bus == buses[0] else ', {}.bus = "' + bus + '"'
         ids = ", ".join(f"{motor}.node_id = {first + i}{on_bus.format(motor)}" for i, motor in enumerate(motors))
@@ -173,23 +190,23 @@ def new_hand_text(answers: HandAnswers, options: Mapping[str, Any], can_fd: bool
 
 
 def _digit_names(answers: HandAnswers) -> list[tuple[str, int]]:
-    """Return name and side of each digit. Opposed digits are on side 1."""
+    """Return name and side of each digit. Fingers are on side 0, opposed digits on side 1."""
     fingers = [FINGER_NAMES[i] if i < len(FINGER_NAMES) else f"finger_{i + 1}" for i in range(answers.fingers)]
     opposed = ["thumb" if i == 0 else f"thumb_{i + 1}" for i in range(answers.opposed)]
     return [*((name, 0) for name in fingers), *((name, 1) for name in opposed)]
 
 
 def _mount_places(answers: HandAnswers) -> list[float]:
-    """Return the position of each digit along the hinges [m], first those of the first side.
+    """Return the position of each digit along the direction of the hinges [m], first of all fingers.
 
-    Digits of opposite sides are interleaved, because facing tips would meet before the digits press
-    on an object.
+    If the sides have different numbers of digits, each digit faces a gap of the other side. Tips
+    that face each other would meet before the digits press on an object.
     """
     counts = (answers.fingers, answers.opposed)
     passing = answers.width_mm * 2 + SIDE_GAP_MM
     spacing = max(answers.width_mm + SIDE_GAP_MM, min(passing, ROW_WIDTH_MM / max(1, max(counts) - 1)))
-    # If both rows have an even or an odd number of digits, one row is moved by half a gap.
-    # Otherwise digits would face each other.
+    # If the numbers of digits differ, but both are even or both are odd, one row is moved by half
+    # of its spacing. Otherwise digits of both rows would face each other.
     moved = spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
     places = []
     for count in counts:
@@ -205,7 +222,7 @@ def _bus_names(answers: HandAnswers) -> list[str]:
 
 
 def _digits_per_bus(answers: HandAnswers) -> int:
-    """Return the number of digits on a bus. All motors of a digit are on one bus."""
+    """Return the number of digits on a bus. All motors of a digit are on the same bus."""
     digits = answers.fingers + answers.opposed
     buses = math.ceil(digits / max(1, MOTORS_PER_BUS // len(_motor_names(answers))))
     return math.ceil(digits / buses)
@@ -217,7 +234,7 @@ def _motor_names(answers: HandAnswers) -> list[str]:
 
 
 def _head_tables(answers: HandAnswers, can_fd: bool) -> str:
-    """Return the tables before the digits."""
+    """Return the text of the tables before the first digit."""
     tendons = "one tendon per digit" if answers.tendons == "one" else "one tendon per joint"
     sync, base = SENSOR_IDS.get(answers.protocol, SENSOR_IDS["mit"])
     bitrate = "bitrate = 1_000_000"
@@ -249,13 +266,14 @@ joint_noise_rad = 0.001"""
 
 
 def _digit_values(answers: HandAnswers) -> str:
-    """Return the values that all digits have in common."""
+    """Return the text of the values that all digits have in common."""
     lengths = [1e-3 * length for length in answers.links_mm]
     width = 1e-3 * answers.width_mm
     masses = [DENSITY_KG_M3 * length * width**2 for length in lengths]
     inertias = [mass * (length**2 + width**2) / 12 for mass, length in zip(masses, lengths, strict=True)]
     count = len(lengths)
-    # The tension floor of all tendons at a joint closes the joint, and its spring opens it.
+    # At the tension floor, all tendons that cross a joint close it. The spring of the joint must
+    # open it against them.
     crossing = [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
     stiffness = [
         OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * TENSION_FLOOR_N / PRELOAD_RAD for tendons in crossing
@@ -286,7 +304,7 @@ def _digit_values(answers: HandAnswers) -> str:
 
 
 def _tendon_values(answers: HandAnswers) -> str:
-    """Return the values that all tendons have in common."""
+    """Return the text of the values that all tendons have in common."""
     trip = _number_text(TRIP_RATIO * answers.tension_N)
     return f"""[default.tendon]
 stiffness_N_per_m = 1.0e5          # ASSUMED: handctl identify measures it
@@ -304,7 +322,7 @@ drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}           
 
 
 def _motor_values(answers: HandAnswers, options: Mapping[str, Any]) -> str:
-    """Return the values that all motors have in common."""
+    """Return the text of the values that all motors have in common."""
     torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
     return f"""[default.motor]                    # quantities at the spool, after the gear
 protocol = "{answers.protocol}"
@@ -324,7 +342,7 @@ watchdog_ms = 50{options_line(answers.protocol, options)}"""
 
 
 def options_line(protocol: str, options: Mapping[str, Any]) -> str:
-    """Return the line of the drive options, empty for a protocol without options."""
+    """Return the line with the options of the drives, empty for a protocol without options."""
     if protocol == "odrive":
         return "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them"
     if not options:
@@ -334,11 +352,11 @@ def options_line(protocol: str, options: Mapping[str, Any]) -> str:
 
 
 def _number_text(value: float) -> str:
-    """Return a number with four digits."""
+    """Return the text of a number with four significant digits."""
     return repr(float(f"{value:.4g}"))
 
 
 def _list_text(values: list[float] | list[list[float]]) -> str:
-    """Return a list, or one number if all are equal."""
+    """Return the text of a list, or of one number if all entries are equal."""
     texts = [_list_text(value) if isinstance(value, list) else _number_text(value) for value in values]
     return "[" + ", ".join(texts) + "]"

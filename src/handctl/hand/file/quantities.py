@@ -1,7 +1,7 @@
-"""Kinds of value in a hand file, each with its plausible range for a robot hand.
+"""Types of the values in a hand file, each with the range that is plausible for a robot hand.
 
-The ranges are wide for hands and narrow against wrong units: a link length given in millimetres is
-wrong by a factor of 1000.
+The ranges include all usual hands, but refuse values in wrong units. For example, a link length
+given in millimetres is wrong by a factor of 1000.
 """
 
 import re
@@ -14,24 +14,33 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 COEFFICIENTS = 6
-"""Number of coefficients of each moment arm's polynomial: [m], [m/rad], [m/rad^2] and so on."""
+"""Number of coefficients of the polynomial of each moment arm.
+
+Their units are [m], [m/rad], [m/rad^2] and so on.
+"""
 NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-"""Valid names of digits, tendons, motors, and buses."""
+"""Pattern of valid names of hands, digits, tendons, motors, and buses."""
 UNMEASURED = "TODO"
-"""Placeholder for a value that is not measured or chosen yet. No key accepts it."""
+"""Placeholder for a value that is not yet measured or chosen.
+
+The checks refuse this text for every key.
+"""
 
 
 def validation_error(right: str) -> PydanticCustomError:
-    """Return an error with the valid value, which ``error_text`` prints after the invalid one."""
+    """Return a validation error that states a valid value.
+
+    ``error_text`` prints this value after the invalid one.
+    """
     return PydanticCustomError("hand", "expected {right}", {"right": right})
 
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """Validation of a kind of value. Pydantic calls the check, and editors use the schema.
+    """Validation of one type of value. pydantic calls ``check``, and editors use ``schema``.
 
     Attributes:
-        check: function that returns the valid value, or raises an error.
+        check: function that returns a valid value, and raises an error for an invalid value.
         schema: JSON Schema of the valid values.
     """
 
@@ -39,23 +48,23 @@ class Checked:
     schema: Mapping[str, Any]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the schema with which pydantic validates."""
+        """Return the schema with which pydantic validates a value."""
         return core_schema.no_info_before_validator_function(self.check, handler(source))
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Return the JSON Schema."""
+        """Return the JSON Schema of valid values."""
         return dict(self.schema)
 
 
 @dataclass(frozen=True)
 class Range:
-    """Check of a finite real number within [low, high], with a float as result.
+    """Check of a finite real number within [low, high]. The result is a float.
 
     Attributes:
         low: smallest plausible value.
         high: largest plausible value.
         unit: unit of value and limits.
-        hint: likely cause of a too large value, such as "in metres?".
+        hint: question about the likely cause of a value that is too large, such as "in metres?".
     """
 
     low: float
@@ -68,7 +77,7 @@ class Range:
         right = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise validation_error(right)
-        # The comparison is negated, so that NaN is refused.
+        # NaN is refused because the comparison is negated.
         if not self.low <= value <= self.high:
             raise validation_error(f"{right} ({self.hint})" if self.hint and value > self.high else right)
         return float(value)
@@ -98,10 +107,10 @@ def whole_in_range(low: int, high: int) -> Checked:
 
 
 def one_of(*words: str) -> Checked:
-    """Return the validation of one of some words."""
+    """Return the validation of a text that must be one of the given words."""
 
     def check(value: Any) -> str:
-        """Return the value if it is one of the words."""
+        """Return the value if it is one of the given words."""
         if not isinstance(value, str) or value not in words:
             raise validation_error(" or ".join(f'"{word}"' for word in words))
         return value
@@ -110,31 +119,31 @@ def one_of(*words: str) -> Checked:
 
 
 def _check_direction(value: Any) -> int:
-    """Return a valid direction, which is 1 or -1."""
+    """Return the value if it is a valid direction, which is 1 or -1."""
     if isinstance(value, bool) or not isinstance(value, int) or value not in (1, -1):
         raise validation_error("1 or -1")
     return value
 
 
 def _check_name(value: Any) -> str:
-    """Return a valid name."""
+    """Return the value if it is a valid name."""
     if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value) or value == UNMEASURED:
         raise validation_error("a name of letters, digits and _ that begins with a letter")
     return value
 
 
 def _check_text(value: Any) -> str:
-    """Return a valid string."""
+    """Return the value if it is a valid string."""
     if not isinstance(value, str):
         raise validation_error("a string")
     return value
 
 
 def _check_options(value: Any) -> dict[str, bool | int | float | str]:
-    """Return a valid table of finite numbers, strings, and booleans."""
+    """Return the value if it is a table that contains only finite numbers, strings, and booleans."""
     if not isinstance(value, dict):
         raise validation_error("a table")
-    # The comparison is negated, so that NaN and infinity are refused.
+    # NaN and infinity are refused because the comparison is negated.
     for key, entry in value.items():
         if not isinstance(entry, bool | int | float | str) or (isinstance(entry, float) and not abs(entry) < 1e300):
             raise validation_error(f"finite numbers, strings and booleans; {key} is none of them")
@@ -142,7 +151,7 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
 
 
 def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> Checked:
-    """Return the validation of 0 or a number within [low, high], see ``Range``."""
+    """Return the validation of a number that is 0 or within [low, high], see ``Range``."""
     number = Range(low, high, unit, hint)
 
     def check(value: Any) -> float:
@@ -154,7 +163,7 @@ def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> Checked:
 
 
 def number_or_list(number: Range, entry: Range, *counts: int) -> Checked:
-    """Return the validation of a number or of a list of numbers.
+    """Return the validation of a value that may be a number or a list of numbers.
 
     Args:
         number: check of a single number.
@@ -180,13 +189,13 @@ MOMENT_ARM_RANGE = Range(-0.05, 0.05, "m", "in metres?")
 
 
 ARM_FORMS = "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }"
-"""Forms of a moment arm that depends on the joint angle."""
+"""Valid forms of a moment arm that depends on the joint angle, for messages."""
 MAX_TABLE = 1000
 """Largest number of entries in a table of moment arms."""
 
 
 def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
-    """Return a valid moment arm: a number, a polynomial, or a table."""
+    """Return the value if it is a valid moment arm: a number, a polynomial, or a table."""
     if isinstance(value, list | tuple):
         raise validation_error(f"a number from {MOMENT_ARM_RANGE.low:g} to {MOMENT_ARM_RANGE.high:g} m, {ARM_FORMS}")
     if not isinstance(value, Mapping):
@@ -205,24 +214,24 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
 
 
 def _numbers(values: Any, key: str, least: int, most: int, largest: float) -> tuple[float, ...]:
-    """Return a list of ``least`` to ``most`` numbers from ``-largest`` to ``largest``."""
+    """Return the list at a key, if it has ``least`` to ``most`` numbers from ``-largest`` to ``largest``."""
     right = f"{least} to {most} numbers from {-largest:g} to {largest:g} in {key}"
     if not isinstance(values, list | tuple) or not least <= len(values) <= most:
         raise validation_error(right)
-    # The comparison is negated, so that NaN is refused.
+    # NaN is refused because the comparison is negated.
     if any(isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= largest for one in values):
         raise validation_error(right)
     return tuple(float(one) for one in values)
 
 
 def _list_schema(least: int, most: int, largest: float) -> dict[str, Any]:
-    """Return the JSON Schema of ``_numbers``."""
+    """Return the JSON Schema of a list that ``_numbers`` accepts."""
     entry = {"type": "number", "minimum": -largest, "maximum": largest}
     return {"type": "array", "items": entry, "minItems": least, "maxItems": most}
 
 
 def _table_schema(**lists: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a table with exactly these lists."""
+    """Return the JSON Schema of a table with exactly the given lists."""
     return {"type": "object", "properties": lists, "required": list(lists), "additionalProperties": False}
 
 
@@ -246,7 +255,7 @@ SensorProtocol = Annotated[str, one_of("handctl", "cia404")]
 ProcessValue = Annotated[str, one_of("int32", "real32")]
 
 Length = Annotated[float, zero_or_in_range(1e-3, 0.2, "m", "in metres?")]
-"""Length of a link. It is 0 if the axes of two joints intersect."""
+"""Length of a link. The length is 0 if the axes of two joints intersect."""
 CentreOfMass = Annotated[
     float | tuple[float, float, float],
     number_or_list(Range(0.0, 0.2, "m", "in metres?"), Range(-0.2, 0.2, "m", "in metres?"), 3),
@@ -290,14 +299,14 @@ JointSpeed = Annotated[float, in_range(1.0, 3000.0, "deg/s", "in degrees?")]
 JointAcceleration = Annotated[float, in_range(10.0, 1e6, "deg/s2", "in degrees?")]
 TensionRate = Annotated[float, in_range(1.0, 1e5, "N/s")]
 StaleTime = Annotated[float, in_range(1.0, 60_000.0, "ms", "in milliseconds?")]
-# Smallest and largest bit rate of CAN, and of the data phase of CAN FD [bit/s].
+# Smallest and largest accepted bit rate of classical CAN and of the data phase of CAN FD [bit/s].
 SLOWEST_BUS = 10_000
 FASTEST_BUS = 8_000_000
 Bitrate = Annotated[int, whole_in_range(SLOWEST_BUS, FASTEST_BUS)]
 NodeId = Annotated[int, whole_in_range(1, 0x7F)]
 CanId = Annotated[int, whole_in_range(1, 0x7FF)]
 AmplifierId = Annotated[int, whole_in_range(1, 0x7E)]
-"""Node number of a CANopen device. 0x7F is the number of handctl itself."""
+"""Node number of a CANopen device. 0x7F is the node number of handctl itself."""
 ChannelCount = Annotated[int, whole_in_range(1, 8)]
 DecimalDigits = Annotated[int, whole_in_range(0, 6)]
 Decimation = Annotated[int, whole_in_range(1, 256)]

@@ -43,7 +43,10 @@ class Mount(Section):
 
 
 class Bus(Section):
-    """CAN bus. Its interface, for example can0, is named on the command line and not in the file."""
+    """CAN bus.
+
+    Its interface, for example can0, is named on the command line and not in the file.
+    """
 
     name: qty.Name
     """Name of the bus."""
@@ -54,28 +57,38 @@ class Bus(Section):
 
 
 HANDCTL_NODE = "handctl"
-"""Protocol of the sensor node defined by handctl, see sensor_node.dbc."""
+"""Protocol of the sensor node that handctl itself defines, see sensor_node.dbc."""
 CIA404 = "cia404"
-"""Protocol of CANopen measuring amplifiers of CiA 404."""
+"""Protocol of CANopen measuring amplifiers according to CiA 404."""
 HANDCTL_NODE_KEYS = ("base_id", "joint_decimation", "joint_noise_rad", "joints")
 """Keys of ``SensorNode`` that only the protocol ``handctl`` has."""
 CIA404_KEYS = ("node_ids", "channels_per_node", "range_N", "process_value", "decimal_digits")
 """Keys of ``SensorNode`` that only the protocol ``cia404`` has."""
 TPDO_IDS = (0x180, 0x280, 0x380, 0x480)
-"""Identifiers of TPDO 1 to 4, without the node number that is added. Source: CiA 301, predefined connection set."""
+"""Identifiers of TPDO 1 to 4.
+
+The identifier of a device's frame is this number plus its node number. Source: CiA 301, predefined
+connection set.
+"""
 CHANNELS_PER_TPDO = 2
-"""Values of 32 bits in 8 bytes."""
+"""Number of channels in a TPDO: values of 32 bits in 8 bytes."""
 
 
 class SensorNode(Section):
     """Sensors of tendon tension, between spool and first pulley, and joint encoders."""
 
     protocol: qty.SensorProtocol = HANDCTL_NODE
-    """``handctl``: one node with load cells and joint encoders. ``cia404``: CANopen measuring amplifiers."""
+    """``handctl``: one node with load cells and joint encoders.
+
+    ``cia404``: CANopen measuring amplifiers.
+    """
     bus: qty.Name
     """Bus of the node."""
     sync_id: qty.CanId = 0x080
-    """Identifier of SYNC, required. One byte with the tick counter. CiA 404: no payload, absent or 0x080."""
+    """Identifier of SYNC, required.
+
+    One byte with the tick counter. CiA 404: no payload, absent or 0x080.
+    """
     base_id: qty.CanId = 0x1A0
     """First identifier of tension frames, required. Joint frames begin at ``base_id + 0x10``. CiA 404: absent.
 
@@ -84,7 +97,10 @@ class SensorNode(Section):
     tendons: tuple[qty.Name, ...]
     """Tendon of each load cell, in the order of the channels. In schema 2 also ``"all"``."""
     joints: tuple[qty.Name, ...] = ()
-    """Joint of each encoder, required, in the order of the channels. In schema 2 also ``"all"``. CiA 404: absent."""
+    """Joint of each encoder, required, in the order of the channels.
+
+    In schema 2 also ``"all"``. CiA 404: absent.
+    """
     joint_decimation: qty.Decimation = 1
     """Ticks between two frames of the joint encoders, required. CiA 404: absent."""
     tension_noise_N: qty.Force
@@ -96,9 +112,15 @@ class SensorNode(Section):
     node_ids: tuple[qty.AmplifierId, ...] = ()
     """CiA 404: node number of each amplifier, required."""
     channels_per_node: qty.ChannelCount = 1
-    """CiA 404: channels of an amplifier, 1 by default. The first amplifier has the first load cells of ``tendons``."""
+    """CiA 404: channels of an amplifier, 1 by default.
+
+    The first amplifier has the first load cells of ``tendons``.
+    """
     range_N: qty.PositiveForce | None = None
-    """CiA 404: rated load of the load cells, required. A reading of this size, of either sign, is saturated (T06)."""
+    """CiA 404: rated load of the load cells, required.
+
+    A reading of this size, of either sign, is saturated (T06).
+    """
     process_value: qty.ProcessValue = "int32"
     """CiA 404: ``int32`` (default) for object 0x9130, ``real32`` for object 0x6130."""
     decimal_digits: qty.DecimalDigits = 3
@@ -106,12 +128,12 @@ class SensorNode(Section):
 
     @property
     def is_cia404(self) -> bool:
-        """Return True if the tensions come from CANopen measuring amplifiers of CiA 404."""
+        """Return True if CANopen measuring amplifiers according to CiA 404 measure the tensions."""
         return self.protocol == CIA404
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
-        """Return the number of channels in use of each CiA 404 amplifier."""
+        """Return for each CiA 404 amplifier the number of channels that have a load cell."""
         size = self.channels_per_node
         return tuple(
             min(max(len(self.tendons) - size * i, 0), size) for i in range(len(self.node_ids) if self.is_cia404 else 0)
@@ -119,7 +141,7 @@ class SensorNode(Section):
 
     @property
     def tension_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the tension frames."""
+        """Return the CAN identifiers of the tension frames."""
         if self.is_cia404:
             return tuple(
                 base + node_id
@@ -130,22 +152,31 @@ class SensorNode(Section):
 
     @property
     def joint_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the joint frames."""
+        """Return the CAN identifiers of the joint frames."""
         groups = math.ceil(len(self.joints) / CHANNELS_PER_FRAME)
         return tuple(self.base_id + JOINT_FRAME_OFFSET + group for group in range(groups))
 
 
 CHANNELS_PER_FRAME = 5
-"""Channels of 12 bits beside the counter of 4 bits in 8 bytes. Source: sensor_node.dbc."""
+"""Number of channels in a frame: 8 bytes hold a counter of 4 bits and five channels of 12 bits.
+
+Source: sensor_node.dbc.
+"""
 JOINT_FRAME_OFFSET = 0x10
-"""Distance of joint frame from tension frame identifiers. Source: sensor_node.dbc."""
+"""Identifier of the first joint frame minus that of the first tension frame.
+
+Source: sensor_node.dbc.
+"""
 
 
 class StreamLimits(Section):
     """Limits of targets that a client streams to the hand."""
 
     speed_deg_s: qty.JointSpeed = 300.0
-    """Largest joint speed. With faster random targets, digits hit each other until a tendon is slack."""
+    """Largest joint speed.
+
+    With faster random targets, digits hit each other until a tendon is slack.
+    """
     acceleration_deg_s2: qty.JointAcceleration = 2_500.0
     """Largest joint acceleration. Source: a sine of 1 Hz and 20 degrees has 790 deg/s2."""
     tension_rate_N_per_s: qty.TensionRate = 1000.0
@@ -159,7 +190,7 @@ class StreamLimits(Section):
 MAX_LINKS = 8
 """Largest number of links of a digit."""
 SPRINGS = ("spring_stiffness_N_m_per_rad", "spring_preload_rad")
-"""Keys of a digit's return springs, both absent without springs."""
+"""Keys of the return springs of a digit. A digit without springs has neither of them."""
 
 
 class Digit(Section):
@@ -184,7 +215,10 @@ class Digit(Section):
     link_length_m: tuple[qty.Length, ...] = Field(min_length=1, max_length=MAX_LINKS)
     """Distance from a link's joint to the next joint, or to the tip. 0 if the axes of two joints meet."""
     joint_axis: tuple[tuple[qty.Direction3, qty.Direction3, qty.Direction3], ...] | None = None
-    """Axis of each hinge as a unit vector in the link's frame. Absent for hinges along z, [0, 0, 1]."""
+    """Axis of each hinge as a unit vector in the link's frame.
+
+    Absent for hinges along z, [0, 0, 1].
+    """
     joint_rpy_deg: tuple[tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle], ...] | None = None
     """Orientation of each link's frame in the frame before it at angle zero, as ``mount_rpy_deg``.
 
@@ -236,7 +270,10 @@ class Digit(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_springs(cls, given: Any) -> Any:
-        """Add springs without stiffness to a digit without springs. An antagonist returns such a digit."""
+        """Add return springs with stiffness 0 to a digit without springs.
+
+        Antagonistic tendons open such a digit.
+        """
         if not isinstance(given, dict) or given.keys() & set(SPRINGS):
             return given
         links = given.get("link_length_m")
@@ -244,7 +281,7 @@ class Digit(Section):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Return the joint names from the palm outwards."""
+        """Return the names of the digit's joints from the palm outwards."""
         return tuple(f"{self.name}_j{i + 1}" for i in range(len(self.link_length_m)))
 
 
@@ -287,7 +324,10 @@ class Tendon(Section):
     tension_trip_N: qty.PositiveForce
     """One sample above it relaxes the hand (T03)."""
     drive_limit_N: qty.PositiveForce
-    """Limit in the drive: ``torque_max_N_m`` / ``spool_radius_m``. A sample above it cuts (T03b)."""
+    """Limit in the drive: ``torque_max_N_m`` / ``spool_radius_m``.
+
+    A sample above it cuts (T03b).
+    """
     pretension_N: qty.PositiveForce | None = None
     """Tension of both tendons of a spool pair at rest. Absent for a single tendon.
 
@@ -299,7 +339,7 @@ class Tendon(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_floor(cls, given: Any) -> Any:
-        """Add a floor of 0 to a spool pair: its net tension has both signs."""
+        """Add a tension floor of 0 to a spool pair, because the net tension of the pair has both signs."""
         if not isinstance(given, dict) or given.get("pretension_N") is None or "tension_floor_N" in given:
             return given
         return given | {"tension_floor_N": 0.0}
@@ -346,9 +386,15 @@ class Motor(Section):
     control: qty.MotorControl | None = None
     """``position`` if the drive closes the position loop of a motion. Absent for ``torque``."""
     kp_N_m_per_rad: qty.ServoStiffness | None = None
-    """Stiffness of the drive's position loop. If it is absent, the stiffness follows from the gains ``motion``."""
+    """Stiffness of the drive's position loop.
+
+    If it is absent, the stiffness follows from the gains ``motion``.
+    """
     kd_N_m_s_per_rad: qty.ServoDamping | None = None
-    """Damping of the drive's position loop. If it is absent, the damping ratio is that of the gains ``motion``."""
+    """Damping of the drive's position loop.
+
+    If it is absent, the damping ratio is that of the gains ``motion``.
+    """
 
     @property
     def holds_position(self) -> bool:

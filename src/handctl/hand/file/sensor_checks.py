@@ -1,4 +1,4 @@
-"""Checks of the section ``sensor_node`` of a hand file: keys of the protocol, channels, and range."""
+"""Checks of the section ``sensor_node`` of a hand file: keys of its protocol, sensor channels, and measuring range."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ if TYPE_CHECKING:
     from handctl.hand.description import Hand
 
 CANOPEN_SYNC = 0x080
-"""Identifier of SYNC in CANopen. Source: CiA 301."""
+"""CAN identifier of SYNC in CANopen. Source: CiA 301."""
 AMPLIFIER_SERVICES = (0x080, 0x580, 0x600, 0x700)
-"""Identifiers of an amplifier's emergency, SDO in both directions and heartbeat, without the node number that is added.
+"""Identifiers of the frames of an amplifier: emergency, SDO in both directions, and heartbeat.
+
+The identifier of a frame is this number plus the node number of the amplifier.
 
 Source: CiA 301.
 """
 TARE_MARGIN_N = 6.0
-"""Largest accepted tare of a load cell [N], by which the usable range is smaller."""
+"""Largest accepted tare of a load cell [N]. The tare reduces the usable range."""
 MAX_COUNT = (1 << 31) - 1
-"""Largest value of an INTEGER32."""
+"""Largest value of the CANopen type INTEGER32."""
 
 
 def check_sensor_node(hand: Hand) -> Iterator[Mistake]:
@@ -45,7 +47,7 @@ def check_sensor_node(hand: Hand) -> Iterator[Mistake]:
 
 
 def _check_amplifiers(node: SensorNode) -> Iterator[Mistake]:
-    """Check SYNC, the node numbers, and that they have a channel for each load cell."""
+    """Check the SYNC identifier and the node numbers, and that the amplifiers have a channel for each load cell."""
     if node.sync_id != CANOPEN_SYNC:
         yield Mistake(f"0x{node.sync_id:X}", "sensor_node.sync_id", f"0x{CANOPEN_SYNC:03X}, the SYNC of CANopen")
     where = "sensor_node.node_ids"
@@ -62,7 +64,7 @@ def _check_amplifiers(node: SensorNode) -> Iterator[Mistake]:
 
 
 def _check_range(hand: Hand) -> Iterator[Mistake]:
-    """Check that the range holds the largest tension, and that the process value holds the range."""
+    """Check that the largest tension is within the measuring range, and that the process value can hold the range."""
     node, where = hand.sensor_node, "sensor_node.range_N"
     if node.range_N is None:
         yield Mistake("missing", where, "a value: rated load of the load cells [N]")
@@ -79,7 +81,7 @@ def _check_range(hand: Hand) -> Iterator[Mistake]:
 
 
 def amplifier_identifiers(node: SensorNode) -> Iterator[tuple[int, str]]:
-    """Yield (identifier, key path) of the frames of CiA 404 amplifiers."""
+    """Yield (identifier, key path) of the CAN frames of CiA 404 amplifiers."""
     if not node.is_cia404:
         return
     for identifier in node.tension_ids:

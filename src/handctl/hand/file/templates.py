@@ -1,14 +1,15 @@
-"""Resolution of a schema 2 file: defaults and templates are replaced by the values that they stand for.
+"""Resolution of a hand file of schema 2: defaults and templates are replaced by the values that they stand for.
 
-A file of schema 2 writes a repeated value once. The resolved content is a file of schema 1, in
-which every section has all its values. The rules, in order:
+In a file of schema 2, a repeated value is written once. The resolved content has the form of schema
+1, in which every section has all its values. These rules apply in order:
 
-1. A digit, tendon or motor has the values of ``[default.KIND]``, replaced by those of its template
-   ``[KIND_template.NAME]``, replaced by its own. Tables are merged key by key.
-2. A digit may hold tables ``tendon.NAME`` and ``motor.NAME``. They are tendons and motors named
-   DIGIT_NAME. Within them ``j1`` is joint DIGIT_j1, and the name of a motor of the digit may be
-   short.
-3. One number for a list per link holds for every link.
+1. A digit, tendon or motor has the values of ``[default.KIND]``. Values of its template
+   ``[KIND_template.NAME]`` replace these, and values in the section itself replace both. Tables are
+   merged key by key.
+2. A digit may hold tables ``tendon.NAME`` and ``motor.NAME``. They become tendons and motors named
+   DIGIT_NAME. Within these tables, ``j1`` means joint DIGIT_j1, and a motor of the same digit may be
+   named without DIGIT.
+3. If a key needs a list with a value per link, one number stands for equal values.
 4. ``"all"`` in the sensor node stands for all tendons, or all joints.
 """
 
@@ -21,43 +22,49 @@ from handctl.hand.file.checks import KEYS_PER_LINK
 from handctl.hand.file.error_text import Mistake, most_similar_key, toml_spelling
 
 RESOLVED_SCHEMA = 1
-"""Schema of a file in which every section has all its values."""
+"""Schema number of a hand file in which every section has all its values."""
 WRITTEN_SCHEMA = 2
-"""Schema of a file with defaults and templates."""
+"""Schema number of a hand file with defaults and templates."""
 SECTION_KINDS = ("digit", "tendon", "motor")
-"""Sections that have defaults and templates."""
+"""Kinds of section that can have defaults and templates."""
 DIGIT_KINDS = ("tendon", "motor")
-"""Tables that a digit may hold."""
+"""Kinds of table that a digit may hold."""
 TEMPLATES = {kind: f"{kind}_template" for kind in SECTION_KINDS}
-"""Name of the table of templates of each kind."""
+"""Name of the table that holds the templates of each kind of section."""
 KEYS_ONE_FOR_ALL_LINKS = (*KEYS_PER_LINK, "joint_rated_torque_N_m", "link_mesh_scale")
-"""Keys of a digit whose list may be given as one number."""
+"""Keys of a digit that accept one number in place of a list with a value per link."""
 WORD_FOR_ALL = "all"
 """Value of the sensor node that stands for all tendons or all joints."""
 MERGE_DEPTH = 3
-"""Levels of tables that are merged. A deeper table is replaced as a whole."""
+"""Number of levels of nested tables that are merged key by key.
+
+A deeper table is replaced as a whole.
+"""
 MISSING_KEY_PATTERN = re.compile(r"(digit|tendon|motor)\[[^\]]*\]\.([A-Za-z_0-9]+)")
-"""Key path of a key of a section."""
+"""Pattern of the key path of a key in a digit, tendon or motor."""
 SHORT_JOINT_PATTERN = re.compile(r"j[0-9]+")
 
 Table = Mapping[str, Any]
 Origins = dict[str, str]
-"""Key path in the file, by key path in the resolved content."""
+"""Key path in the file of each value, by the key path of the value in the resolved content."""
 
 
 class Layer(NamedTuple):
-    """Values of a section from one place in the file, with the key path of this place. Later layers replace them."""
+    """Values for a section from one place in the file, and the key path of this place.
+
+    Values of later layers replace values of earlier ones.
+    """
 
     values: Table
     path: str
 
 
 class Resolved(NamedTuple):
-    """Result of a resolution.
+    """Result of the resolution of a hand file.
 
     Attributes:
-        content: content of schema 1.
-        origins: key path in the file of each value with another path in ``content``.
+        content: content of the file in the form of schema 1.
+        origins: key path in the file of each value whose key path in ``content`` is another one.
         mistakes: mistakes in the use of defaults and templates.
     """
 
@@ -67,10 +74,10 @@ class Resolved(NamedTuple):
 
 
 def resolve_templates(content: Table) -> Resolved:
-    """Replace defaults and templates by values. Content of schema 1 stays as it is.
+    """Replace defaults and templates by values. Content of schema 1 is not changed.
 
-    A value without the form of a section is not changed either, because validation describes the
-    mistake better.
+    A value that should be a section but is no table is not changed either. The later validation
+    describes this mistake better.
     """
     tables = [key for key in ("default", *TEMPLATES.values()) if key in content]
     if content.get("schema") != WRITTEN_SCHEMA and not tables:
@@ -92,7 +99,7 @@ def resolve_templates(content: Table) -> Resolved:
     for kind in DIGIT_KINDS:
         if isinstance(sections[kind], list):
             sections[kind] = resolver.of_digits[kind] + sections[kind]
-    # An absent section stays absent, so that validation names it.
+    # An absent section stays absent. Then the validation reports it as missing.
     resolved |= {kind: section for kind, section in sections.items() if section or kind in content}
     node = content.get("sensor_node")
     if isinstance(node, Mapping):
@@ -101,17 +108,21 @@ def resolve_templates(content: Table) -> Resolved:
 
 
 class _Resolver:
-    """Resolution in progress: content of the file, and results so far."""
+    """Resolution of one hand file: the content of the file, and the results so far."""
 
     def __init__(self, content: Table) -> None:
-        """Start with the content of a file."""
+        """Start the resolution with the content of a hand file."""
         self.content = content
         self.origins: Origins = {}
         self.mistakes: list[Mistake] = []
         self.of_digits: dict[str, list[dict[str, Any]]] = {kind: [] for kind in DIGIT_KINDS}
 
     def check_tables(self) -> None:
-        """Find defaults and templates that are not tables, or have keys that belong to an entry."""
+        """Find mistakes in defaults and templates.
+
+        They must be tables, and must not have the keys ``name`` and ``template``, which belong to a
+        section itself.
+        """
         default = self.content.get("default", {})
         if not isinstance(default, Mapping):
             self.mistakes.append(Mistake(toml_spelling(default), "default", "a table"))
@@ -140,8 +151,8 @@ class _Resolver:
 
         Args:
             kind: kind of section.
-            own: layers of the section itself.
-            name: name of the section, or None if its layers have it.
+            own: layers of the section itself, without those of its default and its template.
+            name: name of the section, or None if the layers contain the name.
         """
         layers = [*self.shared(kind, own), *own]
         values, origins = _merge_layers(layers, MERGE_DEPTH)
@@ -156,12 +167,12 @@ class _Resolver:
         return values
 
     def shared(self, kind: str, own: Sequence[Layer]) -> Iterator[Layer]:
-        """Yield the default of a kind, and the template that its own layers name."""
+        """Yield the layers of the default of a kind, and of the template that a section names."""
         given = self.content.get("default")
         default: Table = given if isinstance(given, Mapping) else {}
         for key, values in default.items():
-            # Values of a misspelt kind are used. Otherwise they would be reported as missing as
-            # well.
+            # The default of a misspelt kind is used. Otherwise the values in it would also be
+            # reported as missing.
             misspelt = (
                 key not in SECTION_KINDS and kind not in default and most_similar_key(key, [*SECTION_KINDS]) == kind
             )
@@ -177,20 +188,20 @@ class _Resolver:
         if not isinstance(name, str) or name not in valid:
             right = most_similar_key(str(name), valid) if valid else f"the name of a table [{key}.NAME]"
             self.mistakes.append(Mistake(toml_spelling(name), f"{named[-1].path}.template", right))
-            # The most similar template is used. Otherwise its values would be reported as missing
-            # as well.
+            # The most similar template is used. Otherwise the values in it would also be reported
+            # as missing.
             name = right if right in valid else next(iter(valid), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
             yield Layer(_without_entry_keys(templates[name]), f"{key}.{name}")
 
     def _resolve_digit(self, layers: Sequence[Layer], values: dict[str, Any], path: str) -> None:
-        """Take tendons and motors out of a digit, and extend single numbers to lists per link."""
+        """Take tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
         digit = values.get("name")
         inner = {kind: _template_layers_by_name(layers, kind) for kind in DIGIT_KINDS}
         for kind in DIGIT_KINDS:
             held = values.get(kind)
             if not isinstance(held, Mapping):
-                continue  # absent, or validation describes it
+                continue  # there are none, or the later validation describes the mistake
             del values[kind]
             for name, table in held.items():
                 where = self.origins[f"{path}.{kind}.{name}"]
@@ -207,13 +218,13 @@ class _Resolver:
                 self.origins |= {f"{path}.{key}[{i}]": origin for i in range(len(links))}
 
     def _of_digit(self, kind: str, digit: Any, name: str, own: list[Layer], motors: Table) -> dict[str, Any]:
-        """Return a tendon or motor of a digit with full names.
+        """Return a tendon or motor that a digit holds, with full names of itself, its motor and its joints.
 
         Args:
             kind: kind of section.
             digit: name of the digit.
             name: short name of the section.
-            own: layers of the section.
+            own: layers of the section itself.
             motors: motors of the digit by short name.
         """
         full = f"{digit}_{name}"
@@ -238,7 +249,9 @@ class _Resolver:
 
 
 def join_mistakes_of_default(mistakes: Iterable[Mistake], content: Table) -> list[Mistake]:
-    """Join mistakes of a key that all sections of a kind miss. It is missing once, in the default.
+    """Join the mistakes about a key that is missing in all sections of a kind.
+
+    The joined mistake says that the key is missing in the default.
 
     Args:
         mistakes: mistakes with key paths of the resolved content.
@@ -257,10 +270,11 @@ def join_mistakes_of_default(mistakes: Iterable[Mistake], content: Table) -> lis
 
 
 def _merge_layers(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], Origins]:
-    """Merge layers. Later layers replace earlier ones, and tables are merged key by key.
+    """Merge layers. Values of later layers replace those of earlier ones, and tables are merged key by key.
 
     Returns:
-        The values, and the key path in the file of each value by its relative key path.
+        The merged values, and the key path in the file of each value, by its key path within the
+        section.
     """
     values: dict[str, Any] = {}
     origins: Origins = {}
@@ -276,7 +290,7 @@ def _merge_layers(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], 
 
 
 def _copy_list(value: Any) -> Any:
-    """Return a copy of a list, so that no two sections share it."""
+    """Return a copy of a list, because two sections must not share one list."""
     return [_copy_list(entry) for entry in value] if isinstance(value, list) else value
 
 
@@ -306,21 +320,21 @@ def _expand_all_names(node: Table, sections: Table) -> dict[str, Any]:
 
 
 def _without_entry_keys(values: Table) -> dict[str, Any]:
-    """Return the values of a default or template, without the keys that belong to an entry."""
+    """Return the values of a default or template, without the keys ``name`` and ``template``."""
     return {key: value for key, value in values.items() if key not in ("name", "template")}
 
 
 def _is_list_of_tables(value: Any) -> bool:
-    """Return True for a list of tables, also an empty one."""
+    """Return True for a list that contains only tables, and for an empty list."""
     return isinstance(value, list | tuple) and all(isinstance(entry, Mapping) for entry in value)
 
 
 def _list_of_tables(value: Any) -> list[Table]:
-    """Return a list of tables, empty for anything else."""
+    """Return a list of tables. For any other value, return an empty list."""
     return list(value) if _is_list_of_tables(value) else []
 
 
 def _section_label(entry: Table, position: int) -> str:
-    """Return the name of a section for key paths, or its position."""
+    """Return the name of a section for key paths. Without a name, return the section's position."""
     name = entry.get("name")
     return name if isinstance(name, str) and name else str(position)

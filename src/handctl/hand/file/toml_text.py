@@ -1,4 +1,7 @@
-"""TOML text of a hand's resolved content, for the log. A hand that is read from the text is equal."""
+"""TOML text of the resolved content of a hand file, for the log.
+
+A hand that is read from this text equals the original hand.
+"""
 
 import json
 from collections.abc import Mapping
@@ -8,9 +11,9 @@ from handctl.printing import escape_surrogates
 
 
 def toml_text(content: Mapping[str, Any]) -> str:
-    """Write plain values, then tables, then arrays of tables.
+    """Write content as TOML: plain values first, then tables and arrays of tables.
 
-    None and empty tables are left out.
+    Values that are None and empty inline tables are left out.
     """
     lines = _value_lines(content)
     for key, value in content.items():
@@ -23,10 +26,10 @@ def toml_text(content: Mapping[str, Any]) -> str:
 
 
 def _value_lines(table: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
-    """Return the lines of a table's plain values."""
+    """Return the lines of a table for all values that are written in one line."""
 
     def is_entry(value: Any) -> bool:
-        """Return True for a value that is written in a line of its table."""
+        """Return True for a value that is written in one line of the table."""
         return bool(inline_tables and value) if isinstance(value, Mapping) else not _is_table_array(value)
 
     return [f"{key} = {_value_text(value)}" for key, value in table.items() if value is not None and is_entry(value)]
@@ -38,7 +41,10 @@ def _is_table_array(value: Any) -> bool:
 
 
 def _value_text(value: Any) -> str:
-    """Return one value. Python's repr of a float is the shortest exact text, and valid TOML."""
+    """Return the text of a value.
+
+    Python's repr of a float is the shortest exact text, and is valid TOML.
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -51,13 +57,14 @@ def _value_text(value: Any) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return a basic string.
+    """Return a text as a TOML basic string, with quotes.
 
-    Characters without a UTF-8 encoding are escaped as text, since TOML has no escape for them.
+    Characters without a UTF-8 encoding become the text of an escape sequence, because TOML has no
+    escape for them.
     """
     return json.dumps(escape_surrogates(text), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _key_text(key: str) -> str:
-    """Return a key, quoted if necessary."""
+    """Return the text of a key, with quotes if they are necessary."""
     return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else quoted(key)

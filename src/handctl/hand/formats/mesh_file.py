@@ -1,4 +1,7 @@
-"""Triangles of mesh files: binary STL, and OBJ. MuJoCo and the viewer read the files themselves."""
+"""Triangles of mesh files, in binary STL or OBJ.
+
+Only handctl's checks of meshes need them. MuJoCo and the viewer read the files themselves.
+"""
 
 from itertools import pairwise
 
@@ -7,11 +10,14 @@ import numpy as np
 from handctl.hand.digit import Array
 
 STL_HEADER = 84
-"""Length of the header with the number of triangles [bytes]. Source: the STL format."""
+"""Length of the header of a binary STL, including the number of triangles [bytes].
+
+Source: the STL format.
+"""
 STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """Record of a triangle in a binary STL."""
 MAX_TRIANGLES = 200_000
-"""Largest number of triangles of a mesh. Source: MuJoCo reads no larger STL."""
+"""Largest number of triangles of a mesh. Source: MuJoCo refuses an STL with more."""
 
 
 def mesh_triangles(data: bytes, suffix: str) -> Array:
@@ -22,8 +28,8 @@ def mesh_triangles(data: bytes, suffix: str) -> Array:
         suffix: ending of the file's name, ``.stl`` or ``.obj``.
 
     Raises:
-        ValueError: the content is no such mesh, is empty, or too large. The text contains what is
-            expected.
+        ValueError: the content is not a mesh of this format, is empty, or is too large. The message
+            says which content is expected.
     """
     triangles = _stl_triangles(data) if suffix.lower() == ".stl" else _obj_triangles(data)
     if not len(triangles):
@@ -49,7 +55,10 @@ def _stl_triangles(data: bytes) -> Array:
 
 
 def _obj_triangles(data: bytes) -> Array:
-    """Return the triangles of an OBJ. A face with more than three corners is divided into a fan of triangles."""
+    """Return the triangles of an OBJ file.
+
+    A face with more than three corners is divided into a fan of triangles.
+    """
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
     for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
@@ -60,7 +69,8 @@ def _obj_triangles(data: bytes) -> Array:
                 if len(vertices[-1]) != 3:
                     raise ValueError
             elif words[:1] == ["f"]:
-                # v, v/vt, v//vn or v/vt/vn. A negative number counts from the last vertex.
+                # Each corner is written as v, v/vt, v//vn or v/vt/vn. A negative number counts
+                # backwards from the last vertex.
                 given = [int(word.split("/")[0]) for word in words[1:]]
                 corners = [corner - 1 if corner > 0 else len(vertices) + corner for corner in given]
                 if len(corners) < 3 or 0 in given or min(corners) < 0:

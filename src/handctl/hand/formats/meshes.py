@@ -16,15 +16,18 @@ from handctl.hand.formats.mesh_file import mesh_triangles
 from handctl.hand.link_bodies import rotation_rpy
 
 PALM = "palm"
-"""Name of the palm among the links."""
+"""Link name of the palm."""
 LARGEST_EXTENT_M = 1.0
-"""Largest extent of a mesh, and largest distance from the origin of its link [m]."""
+"""Largest extent of a mesh, and largest distance of its points from the origin of its link [m]."""
 SMALLEST_EXTENT_M = 0.5e-3
 """Smallest extent of a mesh along its longest side [m]."""
 MILLIMETRE_SCALE = 1e-3
-"""Scale of a mesh in millimetres."""
+"""Factor from the unit of a mesh in millimetres to metres."""
 MAX_FILE_BYTES = 16 << 20
-"""Largest size of a mesh file [bytes]. A binary STL of the largest number of triangles has 10 MB."""
+"""Largest size of a mesh file [bytes].
+
+A binary STL with the largest number of triangles has 10 MB.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +36,11 @@ class LinkMesh:
 
     Attributes:
         link: name of the link, ``palm`` for the palm.
-        key: key path of the mesh in the resolved hand file.
-        file: path of the file as in the hand file.
+        key: key path of the mesh in the resolved content of the hand file.
+        file: path of the mesh file as it is written in the hand file.
         scale: factors from the file's unit to metres, for x, y, z.
-        position: position of the mesh's origin [m].
-        rpy_deg: roll, pitch, yaw of the mesh.
+        position: position of the mesh's origin in the frame of the link [m].
+        rpy_deg: roll, pitch, yaw of the mesh in the frame of the link.
     """
 
     link: str
@@ -54,16 +57,16 @@ class LinkMesh:
 
     @property
     def suffix(self) -> str:
-        """Return the ending of the file in lower case."""
+        """Return the ending of the name of the mesh file, in lower case."""
         return PurePath(self.file).suffix.lower()
 
     def place(self, triangles: Array) -> Array:
-        """Return triangles (n, 3, 3) of the file in the frame of the link [m]."""
+        """Return triangles (n, 3, 3) of the mesh file, transformed to the frame of the link [m]."""
         return np.asarray(triangles * self.scale @ self.rotation.T + self.position)
 
 
 def meshes_of(hand: Hand) -> tuple[LinkMesh, ...]:
-    """Return the meshes of a hand, that of the palm first."""
+    """Return the meshes of a hand, first the mesh of the palm."""
     mount = hand.mount
     meshes = []
     if mount.palm_mesh:
@@ -80,17 +83,17 @@ def meshes_of(hand: Hand) -> tuple[LinkMesh, ...]:
 
 
 def _mesh(link: str, key: str, file: str, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
-    """Return a mesh, with default values for arguments that are None."""
+    """Return the mesh of a link, with default values for arguments that are None."""
     scale = 1.0 if scale is None else scale
     scales = (scale, scale, scale) if isinstance(scale, float) else scale
     return LinkMesh(link, key, file, scales, position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0))
 
 
 def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[Mistake]:
-    """Yield a mistake for each mesh that cannot be shown, or has no plausible size.
+    """Yield a mistake for each mesh that cannot be shown, or whose size is not plausible.
 
     Args:
-        hand: description.
+        hand: description of the hand.
         folder: folder of the hand file.
     """
     triangles: dict[str, Array] = {}
@@ -109,8 +112,8 @@ def read_triangles(path: Path) -> Array:
     """Return the corners of all triangles of a mesh file, (n, 3, 3), in the unit of the file.
 
     Raises:
-        ValueError: the file is missing, unreadable, too large, or no such mesh. The text contains
-            what is expected.
+        ValueError: the file is missing, unreadable, too large, or not a mesh. The message says
+            which file is expected.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"a file of type {path.suffix or 'unknown'}; expected {' or '.join(SUFFIXES)}")
@@ -118,7 +121,7 @@ def read_triangles(path: Path) -> Array:
 
 
 def _read_file(path: Path) -> bytes:
-    """Read a mesh file.
+    """Read the content of a mesh file.
 
     Raises:
         ValueError: the file is missing, unreadable or too large.
@@ -134,7 +137,7 @@ def _read_file(path: Path) -> bytes:
 
 
 def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[Mistake]:
-    """Check the extent of a mesh, and its distance from the link."""
+    """Check that the extent of a mesh and its distance from the link are plausible."""
     points = mesh.place(triangles).reshape(-1, 3)
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     far = float(np.abs(points).max())
@@ -153,13 +156,13 @@ def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[Mistake]:
 
 
 def mesh_sizes(hand: Hand, folder: Path) -> dict[str, int]:
-    """Return the size of each mesh file that exists [bytes], by the path in the hand file."""
+    """Return the size of each existing mesh file of a hand [bytes], by its path as written in the hand file."""
     files = dict.fromkeys(mesh.file for mesh in meshes_of(hand))
     return {file: (folder / file).stat().st_size for file in files if (folder / file).is_file()}
 
 
 def read_meshes(files: Iterable[str], folder: Path) -> dict[str, bytes]:
-    """Return the content of mesh files, by the path in the hand file.
+    """Return the content of mesh files, by their paths as written in the hand file.
 
     Raises:
         ValueError: a file is missing or unreadable.
@@ -168,23 +171,23 @@ def read_meshes(files: Iterable[str], folder: Path) -> dict[str, bytes]:
 
 
 def exported_meshes(hand: Hand, folder: Path, output: Path) -> dict[str, LinkMesh]:
-    """Return the meshes of a hand by link, with paths for a file in another folder.
+    """Return the meshes of a hand by link, with paths relative to the folder of an exported file.
 
     Args:
-        hand: description.
+        hand: description of the hand.
         folder: folder of the hand file.
-        output: folder of the other file.
+        output: folder of the exported file.
     """
     return {mesh.link: replace(mesh, file=path_from(folder / mesh.file, output)) for mesh in meshes_of(hand)}
 
 
 def path_from(path: Path, folder: Path) -> str:
-    """Return a path relative to a folder."""
+    """Return a path as seen from a folder."""
     return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
 
 
 def with_meshes_from(content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the resolved content of a hand whose mesh paths do not depend on the place of its file.
+    """Return the resolved content of a hand with absolute mesh paths, which do not depend on the hand file's place.
 
     Args:
         content: ``Hand.content``.

@@ -1,6 +1,6 @@
 """Export of a hand as MJCF for MuJoCo: links, springs, stops, and tendons driven by tension.
 
-The world frame is the palm frame. In the hand at rest all joint angles are zero. Positive angles
+The world frame is the palm frame. At joint angles of zero the hand is open, and positive angles
 flex. Each control is the tension of one tendon at the joint pulleys [N]. The model has no tendon
 elasticity, no friction, and no rotors.
 """
@@ -19,26 +19,26 @@ from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, l
 from handctl.hand.link_frames import quaternion
 
 STOP_SOLVER_PARAMETERS = ("0.002 1", "0.99 0.9999 0.001")
-"""Solver parameters of stiff joint stops.
+"""Values of ``solreflimit`` and ``solimplimit`` that make the joint stops stiff.
 
-With MuJoCo's defaults, springs push these light links 16 degrees past their stops.
+With MuJoCo's defaults, return springs push the light links 16 degrees past their stops.
 """
 
 
 VISUAL_GROUP = "2"
-"""Group of the geoms of meshes. Viewers show the groups 0 to 2."""
+"""Group of the geoms that show meshes. Viewers show the groups 0 to 2."""
 HIDDEN_GROUP = "3"
-"""Group of the collision shapes of links with a mesh."""
+"""Group of the collision shapes of links with a mesh. Viewers do not show this group."""
 
 
 def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
-    """Return the MJCF of a hand.
+    """Return the text of the MJCF file of a hand.
 
     Bodies are ``palm`` and ``index_link1``.., joints ``index_j1``.., sites ``index_tip``..
 
     Args:
-        hand: description.
-        meshes: meshes by link, with paths relative to the file. They have neither mass nor
+        hand: description of the hand.
+        meshes: meshes by link, with paths relative to the MJCF file. They have neither mass nor
             contacts.
     """
     root = ET.Element("mujoco", model=hand.name)
@@ -54,7 +54,10 @@ def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
 
 
 def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
-    """Add the digits that are mounted on a link, and a box behind them. These digits do not collide with the box."""
+    """Add the digits that are mounted on a link, and a box behind them.
+
+    The digits do not collide with this box.
+    """
     centre, size = palm_box(hand, carrier)
     name = "palm" if carrier is None else f"{carrier}_palm"
     ET.SubElement(link, "geom", name=name, type="box", size=numbers_text(size / 2), pos=numbers_text(centre))
@@ -64,11 +67,14 @@ def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
 
 
 def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
-    """Add nested bodies: each link along its x axis, its hinge at its origin."""
+    """Add the links of a digit as nested bodies.
+
+    Each link lies along its x axis and has its hinge at its origin.
+    """
     parent = base
     for i, joint in enumerate(digit.joints):
         position, rotation = link_placement(digit, i)
-        # MuJoCo's quaternions begin with w.
+        # A quaternion of MuJoCo begins with w.
         x, y, z, w = quaternion(rotation)
         place = {"pos": numbers_text(position), "quat": numbers_text((w, x, y, z))}
         link = ET.SubElement(parent, "body", place, name=f"{digit.name}_link{i + 1}")
@@ -81,7 +87,7 @@ def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
 
 
 def _add_hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
-    """Add the joint of link i."""
+    """Add the hinge between link i and the link before it."""
     ET.SubElement(
         link,
         "joint",
@@ -91,7 +97,7 @@ def _add_hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
         damping=number_text(digit.joint_damping_N_m_s_per_rad[i]),
         armature=number_text(digit.joint_armature_kg_m2[i]),
         stiffness=number_text(digit.spring_stiffness_N_m_per_rad[i]),
-        # MuJoCo's spring torque is -k (q - springref), the description's -k (q + preload).
+        # The spring torque is -k (q - springref) in MuJoCo, and -k (q + preload) in a hand file.
         springref=number_text(-digit.spring_preload_rad[i]),
         solreflimit=STOP_SOLVER_PARAMETERS[0],
         solimplimit=STOP_SOLVER_PARAMETERS[1],
@@ -99,7 +105,10 @@ def _add_hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
 
 
 def _add_link_body(link: ET.Element, digit: Digit, i: int, length: float) -> None:
-    """Add inertia and collision shape of link i: a capsule of a length [m], or a ball without length."""
+    """Add inertia and collision shape of link i.
+
+    The shape is a capsule, or a ball if the length [m] is 0.
+    """
     moments = link_inertia(digit, i)
     ET.SubElement(
         link,
@@ -116,15 +125,18 @@ def _add_link_body(link: ET.Element, digit: Digit, i: int, length: float) -> Non
 
 
 def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
-    """Add the meshes as assets and as geoms without mass and contacts. Shapes of the same bodies are hidden."""
+    """Add the meshes as assets, and as geoms without mass and contacts.
+
+    The collision shapes of links with a mesh are hidden.
+    """
     if not meshes:
         return
     assets = ET.Element("asset")
     root.insert(list(root).index(root.find("worldbody")), assets)  # type: ignore[arg-type]
     bodies = {str(body.get("name")): body for body in root.iter("body")}
     for link, mesh in meshes.items():
-        # MuJoCo needs an inertia, and that of a shell is defined for open surfaces too. It has no
-        # effect.
+        # MuJoCo calculates an inertia for each mesh. That of a shell is defined for open surfaces
+        # too. The inertia has no effect here.
         ET.SubElement(assets, "mesh", name=link, file=mesh.file, scale=numbers_text(mesh.scale), inertia="shell")
         for geom in bodies[link].findall("geom"):
             geom.set("group", HIDDEN_GROUP)
@@ -135,10 +147,9 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
 
 
 def _add_tendons(root: ET.Element, hand: Hand) -> None:
-    """Add fixed tendons by their moment arms, each with a motor that pulls only.
+    """Add a fixed tendon with constant moment arms for each tendon, and a motor that only pulls.
 
-    The arms of a fixed tendon are constant. An arm that depends on the angle is replaced by its
-    mean.
+    If a moment arm depends on the joint angle, its mean is used.
     """
     tendons = ET.SubElement(root, "tendon")
     actuators = ET.SubElement(root, "actuator")

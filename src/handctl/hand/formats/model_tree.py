@@ -1,8 +1,8 @@
-"""Digits of a hand from a tree of links in any frames, as a robot description has them.
+"""Digits of a hand, built from the tree of links of a robot description, whose frames may have any orientation.
 
-A digit of a hand file is a chain. The frame of a link has x along the link, and the next joint lies
-on x. Links of a description have any frames, so most are turned here. A frame that already has this
-form is not changed.
+In a hand file, a digit is a chain of links. The frame of each link has its x axis along the link,
+and the next joint lies on this axis. The frames of a description may differ, and are then turned
+here. A frame that already has this form is not changed.
 """
 
 import re
@@ -19,34 +19,34 @@ from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.hand.file.sections import MAX_LINKS
 
 MAX_ANGLE_TO_LINK_RAD = 1e-6
-"""Largest angle between x and the next joint at which a frame is not changed [rad]."""
+"""Largest angle between the x axis of a frame and its link at which the frame is not changed [rad]."""
 INTERSECTION_TOLERANCE_M = 1e-7
-"""Largest distance of two joints whose axes meet [m]."""
+"""Largest distance of two joints whose axes count as meeting in a point [m]."""
 MIN_FLEXION_Y = 0.7
-"""Smallest component along y of the tip's motion at which the last frame of a digit is not changed."""
+"""Smallest component along y of the tip's direction of motion at which the last frame of a digit is not changed."""
 NEGATIVE_FLEXION_RATIO = 0.1
-"""Largest upper limit, as a fraction of the lower one, of a joint that flexes towards negative angles."""
+"""A joint flexes towards negative angles if its upper limit is at most this fraction of its negative lower limit."""
 MIN_FORWARD_X = 0.7
-"""Smallest component along x of the digits' directions at which a palm frame is not changed."""
+"""Smallest component along x of the mean direction of the digits at which the palm frame is not turned."""
 MAX_MOUNT_OFFSET_M = 0.005
-"""Largest distance of the foremost mount from the plane x = 0 at which a palm frame is not shifted [m]."""
+"""Largest distance of the foremost mount from the plane x = 0 at which the palm frame is not shifted [m]."""
 MAX_PARALLEL_SINE = 0.1
-"""Largest sine of the angle between a joint's axis and its link that counts as a joint about the link."""
+"""Largest sine of the angle between the axis of a joint and its link at which the link turns about itself."""
 TIP_NAME_PATTERN = re.compile(r"tip|end", re.IGNORECASE)
-"""Pattern of the names of a frame at the end of a digit."""
+"""Pattern in the name of a frame that marks the end of a digit."""
 JOINT_SUFFIX = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNORECASE)
-"""End of the name of a joint after the name of its digit."""
+"""Pattern of the end of a joint's name, after the name of its digit."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelMesh:
-    """Mesh on a link.
+    """Mesh that shows a link of a robot description.
 
     Attributes:
-        file: path of the file.
+        file: path of the mesh file.
         scale: factors from the unit of the file to metres (3,).
         position: origin of the mesh in the frame of the link (3,) [m].
-        rotation: rotation from the mesh to the frame of the link (3, 3).
+        rotation: rotation from the frame of the mesh to the frame of the link (3, 3).
     """
 
     file: str
@@ -65,33 +65,38 @@ class ModelMesh:
         )
 
     def seen_from(self, rotation: Array, origin: Array) -> "ModelMesh":
-        """Return the mesh in a frame with a rotation (3, 3) and an origin (3,) [m] in the present frame."""
+        """Return the mesh as seen from another frame of the link.
+
+        The rotation (3, 3) and the origin (3,) [m] of the other frame are given in the present
+        frame.
+        """
         return replace(self, position=rotation.T @ (self.position - origin), rotation=rotation.T @ self.rotation)
 
 
 @dataclass(frozen=True, eq=False)
 class ModelLink:
-    """Link of a robot description with the joint before it. Its frame has its origin in the joint.
+    """Link of a robot description, with the joint before it. The origin of the link's frame is in this joint.
 
     Attributes:
-        name: name of the link.
-        joint: name of the joint.
-        parent: position of the parent among the links, -1 for the root.
+        name: name of the link in the description.
+        joint: name of the joint in the description.
+        parent: index of the parent link, -1 for the root.
         position: origin of the link in the frame of the parent (3,) [m].
-        rotation: rotation to the frame of the parent at angle zero (3, 3).
+        rotation: rotation from the frame of the link to that of the parent, at joint angle zero (3,
+            3).
         axis: axis of the joint in the frame of the link (3,).
-        range: smallest and largest angle [rad], None without limits.
+        range: smallest and largest angle of the joint [rad], None without limits.
         damping: damping of the joint [N m s/rad].
         armature: additional inertia of the joint [kg m2].
         stiffness: stiffness of the joint's spring [N m/rad].
-        rest: angle of the free spring [rad].
+        rest: joint angle at which the spring makes no torque [rad].
         mass: mass of the link [kg].
-        com: centre of mass (3,) [m].
-        inertia: inertia about the centre of mass (3, 3) [kg m2].
-        frames: named frames on the link, (3,) each [m].
-        points: corners of boxes around its shapes, (n, 3) [m].
-        radius: half width of its shapes [m], None without shapes.
-        mesh: mesh that shows the link, None without.
+        com: centre of mass in the frame of the link (3,) [m].
+        inertia: inertia about the centre of mass, in the frame of the link (3, 3) [kg m2].
+        frames: origins of the named frames on the link, in the frame of the link, (3,) each [m].
+        points: corners of boxes around the shapes of the link, (n, 3) [m].
+        radius: half width of the shapes of the link [m], None without shapes.
+        mesh: mesh that shows the link, None without a mesh.
     """
 
     name: str
@@ -154,17 +159,18 @@ class ModelDigit:
 
     Attributes:
         name: name of the digit.
-        carrier: digit whose last link carries this one, None for the palm.
-        joints: names of its joints in the description.
+        carrier: name of the digit whose last link carries this digit, None for the palm.
+        joints: names of the joints in the description.
         position: position of the first joint in the frame of the carrier (3,) [m].
         rotation: rotation from the frame of the first link to the frame of the carrier (3, 3).
-        turns: rotation of each further frame in the frame before (n - 1, 3, 3).
+        turns: rotation from the frame of each further link to that of the link before (n - 1, 3,
+            3).
         lengths: length of each link (n,) [m].
-        axes: axis of each joint (n, 3).
+        axes: axis of each joint in the frame of its link (n, 3).
         links: the links of the description.
-        coms: centre of mass of each link (n, 3) [m].
-        inertias: about the centre of mass (n, 3, 3) [kg m2].
-        meshes: mesh of each link, None without.
+        coms: centre of mass of each link in its frame (n, 3) [m].
+        inertias: inertia of each link about its centre of mass (n, 3, 3) [kg m2].
+        meshes: mesh of each link, None for a link without a mesh.
     """
 
     name: str
@@ -183,7 +189,7 @@ class ModelDigit:
 
 @dataclass(frozen=True)
 class _Chain:
-    """Chain of links, by position, with its name and the chain that carries it."""
+    """Chain of links: its name, the index of the chain that carries it, and the indices of its links."""
 
     name: str
     carrier: int | None
@@ -191,18 +197,20 @@ class _Chain:
 
 
 def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit, ...], Array, Array]:
-    """Return the digits of a tree of links, each after the digit that carries it, and the frame of the palm.
+    """Return the digits of a tree of links and the frame of the palm.
 
-    The palm frame of the hand is the root frame, turned by right angles if the digits do not point
-    along its x axis. The root frame is then shifted as well, so that no mount is before the plane x
-    = 0.
+    Each digit comes after the digit that carries it.
+
+    The palm frame of the hand is the root frame of the description. It is turned by right angles if
+    the digits do not point along the x axis of the root frame. The frame is also shifted if the
+    foremost mount is far from the plane x = 0. Then this mount lies in the plane.
 
     Args:
         links: all links, parents first.
-        source: name of the description in messages.
+        source: name of the description, for messages.
 
     Returns:
-        The digits, and rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
+        The digits, and the rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
 
     Raises:
         ConfigError: the description does not show where a digit ends.
@@ -240,7 +248,10 @@ def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit
 
 
 def _chains(links: Sequence[ModelLink]) -> Iterator[_Chain]:
-    """Yield the chains of a tree. A chain ends where the tree branches, and after ``MAX_LINKS`` links."""
+    """Yield the chains of a tree of links.
+
+    A chain ends where the tree branches, and after ``MAX_LINKS`` links.
+    """
     children = {i: [j for j, link in enumerate(links) if link.parent == i] for i in range(-1, len(links))}
     names: set[str] = set()
     count = 0
@@ -258,7 +269,11 @@ def _chains(links: Sequence[ModelLink]) -> Iterator[_Chain]:
 
 
 def _digit_name(links: Sequence[ModelLink], taken: set[str], count: int) -> str:
-    """Return a name for a digit: the common part of its joints' names or of its links' names, or a number."""
+    """Return a name for a digit.
+
+    It is the common beginning of the names of its joints or of its links. Without a usable one, the
+    digit gets a number.
+    """
     for names in ([link.joint for link in links], [link.name for link in links]):
         common = names[0]
         for name in names[1:]:
@@ -271,7 +286,7 @@ def _digit_name(links: Sequence[ModelLink], taken: set[str], count: int) -> str:
 
 
 def _frames(links: Sequence[ModelLink], chains: Sequence[_Chain], source: str) -> dict[int, tuple[Array, float]]:
-    """Return for each link its frame, (3, 3) in the frame of the description, and its length [m]."""
+    """Return the new frame of each link, (3, 3) in the frame of the description, and the length of the link [m]."""
     frames = {}
     for chain in chains:
         for i, following in zip(chain.members, chain.members[1:], strict=False):
@@ -282,7 +297,7 @@ def _frames(links: Sequence[ModelLink], chains: Sequence[_Chain], source: str) -
 
 
 def _frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
-    """Return the frame of a link with x towards its end, and its length [m]."""
+    """Return a frame for a link with the x axis towards the link's end, and the length of the link [m]."""
     length = float(np.linalg.norm(end))
     if length < INTERSECTION_TOLERANCE_M:
         return np.eye(3), 0.0
@@ -292,7 +307,7 @@ def _frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
         return np.eye(3), length
     z = link.axis - (link.axis @ x) * x
     if np.linalg.norm(z) < MAX_PARALLEL_SINE:
-        # The axis of the joint is along the link, so any direction across the link may be used.
+        # The axis of the joint is along the link. Therefore z may be any direction across the link.
         z = np.eye(3)[int(np.argmin(np.abs(x)))]
         z = z - (z @ x) * x
     z = z / np.linalg.norm(z)
@@ -300,10 +315,10 @@ def _frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
 
 
 def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
-    """Return the end of the last link of a digit, (3,) in its frame [m].
+    """Return the end of the last link of a digit, (3,) in the frame of the link [m].
 
     Raises:
-        ConfigError: neither a frame nor a shape shows the end.
+        ConfigError: neither a named frame nor a shape shows where the link ends.
     """
     link = links[i]
     away = {name: place for name, place in link.frames.items() if np.linalg.norm(place) > INTERSECTION_TOLERANCE_M}
@@ -312,7 +327,7 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
         return named[0]
     carried = [other.position for other in links if other.parent == i]
     if carried:
-        # A link that carries digits has no fingertip, so its end is not used. It must only differ from the joint.
+        # A link that carries digits has no fingertip. Any end that differs from the joint will do.
         return (
             np.mean(carried, axis=0)
             if np.linalg.norm(np.mean(carried, axis=0)) > INTERSECTION_TOLERANCE_M
@@ -323,7 +338,7 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
     if not len(link.points):
         what = f"neither a frame nor a shape tells where its last link {link.name} ends"
         raise ConfigError(what, where, f"a fixed link or site {link.name}_tip")
-    # The end is on the line from the joint to the middle of the shapes, at the distance of the
+    # The end is on the line from the joint to the middle of the link's shapes, as far away as the
     # farthest corner.
     middle = (link.points.min(axis=0) + link.points.max(axis=0)) / 2
     across = middle - (middle @ link.axis) * link.axis
@@ -337,8 +352,8 @@ def _palm_frame(
 ) -> tuple[Array, Array]:
     """Return rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
 
-    x is out of the palm: along the digits. y is from thumb to fingers: the first digit closes
-    towards -y.
+    x points out of the palm, along the digits. y points from thumb to fingers. The first digit
+    closes towards -y.
     """
     places: list[tuple[Array, Array]] = []
     for link in links:
@@ -363,7 +378,7 @@ def _palm_frame(
     depth = mounts @ palm[:, 0]
     origin = palm[:, 0] * depth.max() if abs(depth.max()) > MAX_MOUNT_OFFSET_M else np.zeros(3)
     if not np.array_equal(palm, np.eye(3)):
-        # The middle of the mounts is in front of the object.
+        # The origin is in the middle of the mounts. This point of the palm faces the object.
         origin = origin + (np.eye(3) - np.outer(palm[:, 0], palm[:, 0])) @ mounts.mean(axis=0)
     return palm, origin
 

@@ -1,7 +1,7 @@
 """Export of a hand as URDF, with primitive shapes, for viewers and dynamics libraries.
 
-In the hand at rest all joint angles are zero. Positive angles flex. Links are bars along their own
-x axis.
+At joint angles of zero the hand is open, and positive angles flex. Each link is a bar along its x
+axis.
 """
 
 from collections.abc import Mapping
@@ -17,28 +17,30 @@ from handctl.hand.formats.numbers import number_text, numbers_text
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rpy_of
 
 INERTIA_INDICES = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-"""Row and column of each value of URDF's inertia."""
+"""Row and column in the inertia matrix of each attribute of URDF's ``inertia``."""
 NO_MESHES: Mapping[str, LinkMesh] = {}
-"""Meshes of a hand with primitive shapes."""
+"""Meshes of a hand that is exported with primitive shapes only."""
 PALM_THICKNESS = 0.010
-"""Depth of the palm's box [m]. Its face is x = 0."""
+"""Depth of the box that represents the palm [m]. The front of the box is at x = 0."""
 PALM_MARGIN = 0.010
-"""Extent of the palm beyond the outermost digits [m]."""
+"""Extent of the box beyond the mounts of the outermost digits [m]."""
 
 
 def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
-    """Return the URDF of a hand.
+    """Return the text of the URDF file of a hand.
 
     The root link is ``palm``, links are ``index_link1``.., joints ``index_j1``.., tips
     ``index_tip``.
 
     Args:
-        hand: description.
-        meshes: meshes by link, with paths relative to the file. They replace visual shapes.
+        hand: description of the hand.
+        meshes: meshes by link, with paths relative to the URDF file. They replace the visual shapes
+            of links.
     """
     robot = ET.Element("robot", name=hand.name)
     if meshes:
-        # MuJoCo otherwise looks for meshes without their folders, and drops them.
+        # Without this option, MuJoCo removes the folders from the paths of meshes, and drops the
+        # meshes.
         extension = ET.SubElement(robot, "mujoco")
         ET.SubElement(extension, "compiler", strippath="false", discardvisual="false")
     _add_palm(ET.SubElement(robot, "link", name="palm"), hand, None, meshes.get("palm"))
@@ -54,10 +56,10 @@ def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
 
 
 def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
-    """Return the box behind the digits that a link carries: centre and lengths, (3,) each [m].
+    """Return centre and lengths of the box behind the digits that a link carries, (3,) each [m].
 
     Args:
-        hand: description.
+        hand: description of the hand.
         carrier: digit whose last link carries the digits, None for the palm.
     """
     mounts = np.array([digit.mount_position_m for digit in hand.digit if digit.mount_on == carrier])
@@ -69,9 +71,10 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
 
 
 def shape_length(hand: Hand, digit: Digit, i: int) -> float:
-    """Return the length of the shape of link i [m].
+    """Return the length of the primitive shape of link i [m].
 
-    The round end of a link that carries digits touches the face of the box behind these digits.
+    The shape of a link that carries digits is shorter by its radius. Its round end then ends where
+    the link ends.
     """
     length = digit.link_length_m[i]
     last = i == len(digit.link_length_m) - 1
@@ -79,7 +82,10 @@ def shape_length(hand: Hand, digit: Digit, i: int) -> float:
 
 
 def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh | None) -> None:
-    """Add a box behind all digits on a link. The palm has no mass since it is fixed."""
+    """Add a box behind all digits that a link carries.
+
+    It has no mass, because the palm is fixed.
+    """
     centre, size = palm_box(hand, carrier)
     if mesh and carrier is None:
         _add_mesh(link, mesh)
@@ -90,13 +96,16 @@ def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh 
 
 
 def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
-    """Add the hinge before link i, with the limits of tendons and motors."""
+    """Add the hinge before link i.
+
+    Tendons and motors determine the limits of its torque and speed.
+    """
     name = digit.joints[i]
     joint = ET.SubElement(robot, "joint", name=name, type="revolute")
     ET.SubElement(joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}")
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
     position, rotation = link_placement(digit, i)
-    # The addition of 0.0 turns -0.0 into 0.0.
+    # Adding 0.0 turns -0.0 into 0.0.
     ET.SubElement(joint, "origin", xyz=numbers_text(position), rpy=numbers_text(np.add(rpy_of(rotation), 0.0)))
     ET.SubElement(joint, "axis", xyz=numbers_text(joint_axes(digit)[i]))
     crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
@@ -117,7 +126,10 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
 
 
 def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:
-    """Return the elements that primitive shapes have. A mesh replaces the visual ones."""
+    """Return the URDF elements for which a link gets a primitive shape.
+
+    A mesh replaces the visual shape.
+    """
     return ("collision",) if mesh else ("visual", "collision")
 
 
@@ -129,7 +141,10 @@ def _add_mesh(link: ET.Element, mesh: LinkMesh) -> None:
 
 
 def _add_link(robot: ET.Element, digit: Digit, i: int, length: float, mesh: LinkMesh | None) -> None:
-    """Add link i: inertia, and a cylinder of a length [m] with a ball at the far end."""
+    """Add link i with its inertia.
+
+    Its shape is a cylinder of the given length [m] with a ball at the far end.
+    """
     radius = digit.link_radius_m
     link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
     inertial = ET.SubElement(link, "inertial")
@@ -153,7 +168,7 @@ def _add_link(robot: ET.Element, digit: Digit, i: int, length: float, mesh: Link
 
 
 def _add_tip_frame(robot: ET.Element, digit: Digit) -> None:
-    """Add the frame at the end of the last link."""
+    """Add a link without mass that marks the end of the digit's last link."""
     last = len(digit.link_length_m)
     ET.SubElement(robot, "link", name=f"{digit.name}_tip")
     joint = ET.SubElement(robot, "joint", name=f"{digit.name}_tip_joint", type="fixed")

@@ -1,10 +1,11 @@
-"""Camera videos of a LeRobot dataset: one video frame for each frame of an episode, with statistics.
+"""Camera videos of a LeRobot dataset, and their statistics. A video has one image for each frame of the episode.
 
-The program ``ffmpeg`` decodes and encodes the videos. Each frame of the dataset gets the latest
-camera frame that is not later than the dataset frame.
+The program ``ffmpeg`` decodes and encodes the videos. Each dataset frame gets the latest camera
+frame that is not later than itself.
 
-Layout: LeRobot 0.4, ``datasets/lerobot_dataset.py`` and ``video_utils.py``: one file for each
-episode, statistics per colour channel of values from 0 to 1.
+The layout is that of LeRobot 0.4, ``datasets/lerobot_dataset.py`` and ``video_utils.py``. There is
+one video file for each episode. The statistics are computed for each colour channel, with values
+from 0 to 1.
 """
 
 import shutil
@@ -21,16 +22,19 @@ from handctl.printing import printable_text
 
 VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILES_PER_CHUNK = 1000
-"""Number of videos in one folder."""
+"""Number of videos in one folder. LeRobot calls such a folder a chunk."""
 LONGEST_GAP_S = 0.5
-"""Longest time without camera frames at the start or end of an episode [s].
+"""Longest time without camera frames that is accepted at the start or end of an episode [s].
 
-The first or last camera frame fills this time.
+The first or last camera frame is repeated for this time.
 """
 STATISTICS_WIDTH = 160
-"""Width of the images from which statistics are computed [pixels]."""
+"""Largest width of the images from which statistics are computed [pixels].
+
+Wider images are scaled down.
+"""
 CHANNEL_LEVELS = 256
-"""Number of values of a colour channel."""
+"""Number of different values that a colour channel can have."""
 
 
 class Camera(NamedTuple):
@@ -38,7 +42,7 @@ class Camera(NamedTuple):
 
     Attributes:
         name: name of the camera, such as ``wrist``.
-        videos: video file of each episode.
+        videos: video file that the camera recorded, for each episode.
         starts_s: time of the first video frame since the start of the run, for each episode [s].
     """
 
@@ -48,7 +52,7 @@ class Camera(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Return the name of the camera's feature."""
+        """Return the name of the camera's feature in the dataset."""
         return f"observation.images.{self.name}"
 
 
@@ -56,10 +60,10 @@ class EpisodeVideo(NamedTuple):
     """Video of one episode in a dataset.
 
     Attributes:
-        height: height of an image [pixels].
-        width: width of an image [pixels].
-        frames: number of frames.
-        histogram: (3, 256) number of pixels of each value, for red, green and blue.
+        height: height of an image of the video [pixels].
+        width: width of an image of the video [pixels].
+        frames: number of frames of the video.
+        histogram: (3, 256) number of pixels that have each value, for red, green and blue.
     """
 
     height: int
@@ -71,7 +75,7 @@ class EpisodeVideo(NamedTuple):
 def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_s: Sequence[float], logs: int) -> tuple[
     Camera, ...
 ]:  # fmt: skip
-    """Check cameras against the number of logs, and return them.
+    """Check the names, files and times given for cameras, and return the cameras.
 
     Args:
         names: name of each camera.
@@ -80,7 +84,8 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
         logs: number of logs.
 
     Raises:
-        ConfigError: a wrong name, a wrong number of videos or times, no such file, or no ffmpeg.
+        ConfigError: a name is wrong, the number of videos or times is wrong, a video does not
+            exist, or ffmpeg is not installed.
     """
     starts = tuple(starts_s) * (logs if len(starts_s) == 1 else 1)
     if len(starts) != logs or not np.isfinite(starts).all():
@@ -99,22 +104,23 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
 
 
 def video_place(episode: int) -> dict[str, int]:
-    """Return the numbers of chunk and file of the video of an episode."""
+    """Return the chunk number and the file number under which the dataset stores the video of an episode."""
     return {"chunk_index": episode // FILES_PER_CHUNK, "file_index": episode % FILES_PER_CHUNK}
 
 
 def write_episode_video(source: Path, target: Path, first_s: float, frames: int, fps: int) -> EpisodeVideo:
-    """Write the video of an episode.
+    """Write the dataset's video of an episode.
 
     Args:
-        source: video of the camera.
-        target: file to write.
-        first_s: time of the first frame of the episode in the source [s]. May be negative.
+        source: video that the camera recorded.
+        target: video file to write.
+        first_s: time of the first frame of the episode in the source [s]. The time is negative if
+            the source begins later.
         frames: number of frames of the episode.
         fps: frame rate of the dataset [Hz].
 
     Raises:
-        LogError: the source is no video, or does not cover the episode.
+        LogError: the source is not a video or does not cover the whole episode.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     if first_s < -LONGEST_GAP_S:
@@ -143,7 +149,7 @@ def write_episode_video(source: Path, target: Path, first_s: float, frames: int,
 
 
 def _ffmpeg(source: Path, *words: str) -> None:
-    """Run ffmpeg on a video.
+    """Run ffmpeg on a video file, with the given further arguments.
 
     Raises:
         LogError: ffmpeg reports an error.
@@ -155,7 +161,7 @@ def _ffmpeg(source: Path, *words: str) -> None:
 
 
 def _unreadable_video_error(source: Path, stderr: str) -> LogError:
-    """Return the error for a video that ffmpeg cannot read."""
+    """Return the error to raise for a video that ffmpeg cannot read."""
     reason = printable_text((stderr.strip().splitlines() or ["no reason"])[-1])
     return LogError(f"ffmpeg: {reason}", str(source), "a video that ffmpeg reads")
 
@@ -164,7 +170,7 @@ def _images(source: Path, filters: str) -> Any:
     """Yield width, height and pixels (height * width * 3,) of every frame of a video.
 
     Raises:
-        LogError: the file has no frame.
+        LogError: the video has no frame.
     """
     command = ["ffmpeg", "-nostdin", "-v", "error", "-i", str(source), "-vf", filters]
     command += ["-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
@@ -183,7 +189,7 @@ def _images(source: Path, filters: str) -> Any:
 
 
 def _read_ppm(stream: IO[bytes]) -> tuple[int, int, NDArray[np.uint8]] | None:
-    """Return width, height and pixels of the next image of a stream, None at its end. Format: netpbm, P6."""
+    """Return width, height and pixels of the next netpbm P6 image in a stream, or None at the end of the stream."""
     if stream.readline() != b"P6\n":
         return None
     width, height = map(int, stream.readline().split())
@@ -192,10 +198,10 @@ def _read_ppm(stream: IO[bytes]) -> tuple[int, int, NDArray[np.uint8]] | None:
 
 
 def histogram_statistics(histogram: NDArray[np.int64], frames: int, percents: Sequence[int]) -> dict[str, list[Any]]:
-    """Return the statistics of images, of shape (3, 1, 1) for colour channels from 0 to 1.
+    """Return the statistics of images. Each has shape (3, 1, 1), one value for each colour channel, from 0 to 1.
 
     Args:
-        histogram: (3, 256) number of pixels of each value.
+        histogram: (3, 256) number of pixels that have each value, for each colour channel.
         frames: number of images.
         percents: percentiles to compute.
     """

@@ -1,17 +1,18 @@
-"""Export of logs as a LeRobot dataset: an episode for each log, the active part of the run on an exact time grid.
+"""Export of logs as a LeRobot dataset. Each log becomes an episode: the active part of the run on an exact time grid.
 
-Layout: codebase version 3.0, all frames in one file, a video for each episode and camera.
-`observation.state` holds joint angles [rad] and estimated tensions [N]. `action` holds commanded
-joint angles and tensions. For a digit under tension control, the commanded angle is set to the
-estimated angle.
+The layout is that of LeRobot's codebase version 3.0. One file has the frames of all episodes. Each
+episode has a video for each camera. `observation.state` holds joint angles [rad] and estimated
+tensions [N]. `action` holds commanded joint angles and tensions. Joints of a digit under tension
+control have no commanded angle. Their `action` holds the estimated angle instead.
 
-Names of vector elements end in their unit: `index_j1.pos_rad`, `index_tendon.tension_N`.
+The name of each vector element ends in a unit, for example `index_j1.pos_rad` or
+`index_tendon.tension_N`.
 
-Statistics of the whole dataset are in `meta/stats.json`, and statistics of each episode in columns
-of `meta/episodes`. LeRobot uses the statistics per episode when splitting a dataset or deleting
-episodes.
+The file `meta/stats.json` has the statistics of the whole dataset. Columns of `meta/episodes` have
+the statistics of each episode. LeRobot needs the statistics of each episode to split a dataset or
+to delete episodes.
 
-Source: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`: paths and fields.
+Source of the paths and fields: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`.
 """
 
 import json
@@ -42,26 +43,26 @@ from handctl.printing import printable_text
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 QUANTILES = (1, 10, 50, 90, 99)
-"""Percentiles in the statistics."""
+"""Percentiles in the statistics of a feature."""
 
 SIGMA_FIELDS = ("q_sigma", "tension_sigma")
-"""Telemetry fields with the standard deviations of `observation.state`.
+"""Telemetry fields with the standard deviations of the values in `observation.state`.
 
 Logs of version 0.1 lack `q_sigma`.
 """
 
 Array = NDArray[np.float64]
 Statistics = dict[str, dict[str, list[Any]]]
-"""Values of each statistic, by feature and by name of the statistic."""
+"""Values of each statistic, by name of the feature and by name of the statistic."""
 
 
 class _Episode(NamedTuple):
-    """Frames of one log.
+    """Dataset frames of one log.
 
     Attributes:
         vectors: names and values (frames, n) of each vector feature.
-        task: description of its task.
-        frames: number of frames.
+        task: description of the task that the log shows.
+        frames: number of frames of the episode.
         start_s: time of the first frame since the start of the run [s].
     """
 
@@ -72,25 +73,26 @@ class _Episode(NamedTuple):
 
     @property
     def names(self) -> dict[str, list[str]]:
-        """Return the names of each vector feature."""
+        """Return the names of the elements of each vector feature."""
         return {name: names for name, (names, _) in self.vectors.items()}
 
 
 def export_lerobot(
     logs: Sequence[RunLog], path: Path, fps: int | None = None, cameras: Sequence[Camera] = ()
 ) -> int:  # fmt: skip
-    """Write the dataset into a new folder, and return the number of frames.
+    """Write logs as a dataset into a new folder, and return the number of frames.
 
     Args:
         logs: one or more logs of one hand at one control rate.
-        path: folder to make.
-        fps: frame rate of the dataset, at most the control rate [Hz]. None: the control rate.
+        path: folder of the dataset, which must not exist yet.
+        fps: frame rate of the dataset, at most the control rate [Hz]. If None is given, the control
+            rate is used.
         cameras: cameras with a video of each log.
 
     Raises:
         ConfigError: the frame rate is out of range.
-        LogError: the hand was never active in a log, the logs are of different hands or rates, or a video does not
-            cover its episode.
+        LogError: the hand was never active in a log, the logs have different hands or control
+            rates, or a video does not cover the whole episode.
         OSError: the folder exists already or cannot be written.
     """
     first = logs[0]
@@ -127,7 +129,7 @@ def export_lerobot(
 
 
 def _episode(log: RunLog, fps: int) -> _Episode:
-    """Return the frames of a log."""
+    """Return the episode that a log becomes."""
     rows = _tick_indices(log, fps)
     return _Episode(_vectors(log, rows), _task(log), len(rows), float(log.t_ns[rows[0]]) / 1e9)
 
@@ -136,7 +138,8 @@ def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps:
     """Write the videos of a camera, one for each episode.
 
     Raises:
-        LogError: a video does not cover its episode, or has another size than the first.
+        LogError: a video does not cover the whole episode, or the images differ in size from the
+            first video.
     """
     written = list[EpisodeVideo]()
     for number, episode in enumerate(episodes):
@@ -151,13 +154,13 @@ def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps:
 
 
 def _video_statistics(videos: Sequence[EpisodeVideo]) -> dict[str, list[Any]]:
-    """Return the statistics of all images of videos."""
+    """Return the statistics over all images of the given videos."""
     histogram = np.sum([video.histogram for video in videos], axis=0)
     return histogram_statistics(histogram, sum(video.frames for video in videos), QUANTILES)
 
 
 def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
-    """Return the declaration of a camera in `meta/info.json`."""
+    """Return the declaration of a camera's feature for `meta/info.json`."""
     height, width = videos[0].height, videos[0].width
     encoding = {"codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False, "fps": fps, "channels": 3}
     encoding |= {"height": height, "width": width}
@@ -184,9 +187,10 @@ def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str
 
 
 def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
-    """Return the index of the tick for each frame of the time grid.
+    """Return the index of the tick whose values each frame of the time grid gets.
 
-    Each frame gets the latest tick before the frame's time, also where ticks are missing.
+    Each frame gets the latest tick that is not later than the frame. This also holds where ticks
+    are missing in the log.
 
     Raises:
         LogError: the hand was never active, or the ticks are out of order.
@@ -198,13 +202,14 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])
     frames = (end - start) * fps // 10**9 + 1
-    # Integer arithmetic with rounding to the nearest nanosecond keeps the grid exact over hours.
+    # Integer arithmetic, with rounding to the nearest nanosecond, keeps the time grid exact over
+    # hours.
     grid = start + (np.arange(frames) * 10**9 + fps // 2) // fps
     return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
 
 
 def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
-    """Return names and values (frames, n) of each vector-valued feature."""
+    """Return the element names and the values (frames, n) of each vector feature."""
     header = log.header
     q = _without_nan(log, "q", rows)
     tension = _without_nan(log, "tension", rows)
@@ -233,7 +238,7 @@ def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], 
 
 
 def _standard_deviation_name(name: str) -> str:
-    """Return the name of an element's standard deviation, `index_j1.pos_sigma_rad` for `index_j1.pos_rad`."""
+    """Return the name for the standard deviation of an element: `index_j1.pos_sigma_rad` for `index_j1.pos_rad`."""
     quantity, unit = name.rsplit("_", 1)
     return f"{quantity}_sigma_{unit}"
 
@@ -241,8 +246,8 @@ def _standard_deviation_name(name: str) -> str:
 def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     """Return a telemetry field (frames, n) with every NaN replaced.
 
-    A NaN is replaced by the last value before, or else by the first value after. A column of NaN
-    only becomes zero.
+    The last number before a NaN in the column replaces the NaN. Without such a number, the first
+    number after the NaN is used. A column without any number becomes zero.
     """
     values = log.field(name)[rows]
     for column in values.T:
@@ -268,7 +273,7 @@ def _scalars(episodes: Sequence[_Episode], number: int, tasks: list[str], fps: i
 
 
 def _task(log: RunLog) -> str:
-    """Return the description of the task as text."""
+    """Return the description of the task that a log shows."""
     try:
         task = parse_toml(log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log")
     except (ConfigError, UnicodeDecodeError):
@@ -278,7 +283,7 @@ def _task(log: RunLog) -> str:
 
 
 def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.Table:
-    """Return the table of the frames. Vector features have names."""
+    """Return the table of all frames. The features listed in `names` are vectors."""
     columns = {}
     for name, table in values.items():
         flat = pa.array(np.ascontiguousarray(table, np.float32 if name in names else None).ravel())
@@ -290,7 +295,7 @@ def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -
 def _episode_table(
     episodes: Sequence[_Episode], statistics: Sequence[Statistics], video_keys: Iterable[str], fps: int
 ) -> pa.Table:  # fmt: skip
-    """Return the table of the episodes: positions of the frames, and a column `stats/FEATURE/NAME` per statistic."""
+    """Return the table of the episodes: places of frames, and a column `stats/FEATURE/NAME` for each statistic."""
     count = len(episodes)
     ends = np.cumsum([episode.frames for episode in episodes]).tolist()
     fields: dict[str, list[Any]] = {
@@ -316,9 +321,9 @@ def _episode_table(
 
 
 def _task_table(tasks: list[str]) -> pa.Table:
-    """Build the table of the tasks.
+    """Return the table of the task descriptions.
 
-    The text is the index of the table. pandas reads this from the schema's metadata.
+    The descriptions are the index of the table. pandas reads this from the schema's metadata.
     """
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
     columns = [
@@ -373,7 +378,10 @@ def _info_content(
 
 
 def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
-    """Return the statistics of a feature over all frames, for normalisation."""
+    """Return the statistics of a feature over all given frames.
+
+    LeRobot normalises features with them.
+    """
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     statistics = {
         "min": table.min(axis=0),

@@ -1,6 +1,7 @@
-"""Export of a log as a Parquet table: one row per tick, one column per number, texts as dictionaries.
+"""Export of a log as a Parquet table. The table has a row for each tick and a column for each number of a tick.
 
-The metadata of each numeric column has its unit under the key `unit`.
+Columns of text are dictionary-encoded. The metadata of each numeric column has the column's unit
+under the key `unit`.
 """
 
 from pathlib import Path
@@ -13,7 +14,7 @@ from handctl.log.read.reader import RunLog
 
 
 def export_parquet(log: RunLog, path: Path) -> int:
-    """Write the table, with the run's metadata in the schema, and return the number of rows.
+    """Write the table of a log, with the run's metadata in the schema, and return the number of rows.
 
     Raises:
         OSError: the file exists already or cannot be written.

@@ -1,4 +1,4 @@
-"""Export of a log as CSV and as candump text, and the tables behind all exports."""
+"""Export of a log as CSV and as candump text, and the tables of ticks from which all exports are written."""
 
 import csv
 import re
@@ -17,13 +17,13 @@ from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action
 
 BLOCK_TICKS = 4096
-"""Number of ticks held in memory at a time."""
+"""Number of ticks that an export holds in memory at a time."""
 
 TEXT_COLUMNS = ("mode", "phase", "action")
-"""Names of the text columns."""
+"""Names of the columns that hold text."""
 
 INTEGER_COLUMNS = {"k": "1", "t_ns": "ns", "late_ns": "ns"}
-"""Integer columns with their units."""
+"""Unit of each column that holds integers, by name of the column. 1 stands for a plain number."""
 
 UNITS = {
     "q": "rad", "dq": "rad/s", "joint_torque": "N m", "joint_encoder": "rad",
@@ -33,19 +33,19 @@ UNITS = {
     "motor_age": "s", "drive_phase": "1",
     "tip_force": "N", "contact": "1",
 }  # fmt: skip
-"""Unit of each telemetry quantity, 1 for a plain number."""
+"""Unit of each telemetry quantity. 1 stands for a plain number."""
 
 VARIANT_SUFFIX = re.compile("_(goal|raw|sigma)$")
-"""Suffixes of field names that do not change the unit."""
+"""Suffixes of telemetry fields. Fields with and without the suffix have the same unit."""
 
 
 class TableBlock(NamedTuple):
-    """Table with some consecutive ticks of a log.
+    """Part of a log as a table: some consecutive ticks.
 
     Attributes:
-        k, t_ns, late_ns: (rows,) as in TickIn [ns].
-        mode, phase, action: names for each row.
-        numbers: (rows, columns) telemetry.
+        k, t_ns, late_ns: (rows,) number, time and lateness of each tick, as in TickIn [ns].
+        mode, phase, action: name of the mode, grasp phase and safety action in each row.
+        numbers: (rows, columns) telemetry of each tick.
     """
 
     k: NDArray[np.int64]
@@ -58,9 +58,9 @@ class TableBlock(NamedTuple):
 
 
 def column_names(log: RunLog) -> tuple[str, ...]:
-    """Return the names of the telemetry columns, such as `q/index_j1` and `tension/index_tendon`.
+    """Return the names of the telemetry columns of a log, such as `q/index_j1` and `tension/index_tendon`.
 
-    The function `column_unit` returns the units.
+    The function `column_unit` returns the unit of each column.
     """
     return tuple(f"{field}/{name}" for field in log.fields for name in log.header.axis(TELEMETRY_AXES[field]))
 
@@ -71,12 +71,12 @@ def column_unit(column: str) -> str:
 
 
 def column_title(column: str) -> str:
-    """Return the title of a column in a text table: `tension/index_tendon [N]`, or the name if it contains the unit."""
+    """Return the title of a column: `tension/index_tendon [N]`, or the name alone if the name contains the unit."""
     return column if column in INTEGER_COLUMNS else f"{column} [{column_unit(column)}]"
 
 
 def table_blocks(log: RunLog) -> Iterator[TableBlock]:
-    """Yield the ticks of a log as tables of at most `BLOCK_TICKS` rows."""
+    """Yield all ticks of a log in order, as tables of at most `BLOCK_TICKS` rows."""
     changes = log.phases
     starts = np.array([change.k for change in changes], np.int64)
     names = [change.name for change in changes]
@@ -92,10 +92,10 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
 
 
 def export_csv(log: RunLog, path: Path) -> int:
-    """Write one row per tick as CSV, and return the number of rows.
+    """Write a log as CSV with one row for each tick, and return the number of rows.
 
-    Numbers are written so that reading them returns the same bits. NaN is an empty field. The first
-    row has titles with units: `tension/index_tendon [N]`.
+    A reader that parses the numbers gets the same bits. NaN is written as an empty field. The first
+    row has the titles of the columns with their units: `tension/index_tendon [N]`.
 
     Raises:
         OSError: the file exists already or cannot be written.
@@ -113,9 +113,9 @@ def export_csv(log: RunLog, path: Path) -> int:
 
 
 def export_candump(log: RunLog, path: Path) -> int:
-    """Write all frames in the log format of can-utils, and return the number of frames.
+    """Write all CAN frames of a log in the log format of can-utils, and return the number of frames.
 
-    R marks a received frame, T a sent frame.
+    The letter R marks a received frame, and T marks a sent frame.
 
     Raises:
         OSError: the file exists already or cannot be written.
@@ -131,11 +131,11 @@ def export_candump(log: RunLog, path: Path) -> int:
 
 
 def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
-    """Yield time [ns], direction, and frame of all frames in the order of time.
+    """Yield time [ns], direction (R or T) and content of all CAN frames, in the order of their times.
 
-    The time of a received frame is the time of its arrival. The time of a sent frame is the start
-    of its tick or the latest arrival in this tick, whichever is later. On a local bus frames arrive
-    when the tick reads them, after the start of the tick.
+    The time of a received frame is the time of arrival. The time of a sent frame is the start of
+    the tick or the latest arrival in the tick, whichever is later. On a local bus, a frame arrives
+    when the tick reads the frame, after the start of the tick.
     """
     pending: list[tuple[int, str, Frame]] = []
     complete_ns = 0
@@ -146,8 +146,9 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         pending += [(frame.t_ns, "R", frame) for frame in received]
         pending += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
         pending.sort(key=itemgetter(0))
-        # A frame of the next tick arrives after the start of this tick. The kernel may deliver a
-        # frame a little after its time stamp, so frames are yielded one tick later.
+        # A frame received in the next tick arrives after the start of this tick. The kernel may
+        # deliver a frame a little after the time in its stamp, so each frame is yielded one tick
+        # later.
         ready = bisect_left(pending, complete_ns, key=itemgetter(0))
         yield from pending[:ready]
         pending = pending[ready:]
@@ -156,12 +157,12 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
 
 
 def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) -> str:
-    """Return a frame as a line of text.
+    """Return a CAN frame as a line of candump text.
 
     Source: can-utils `lib.c`, `snprintf_canframe`.
     """
-    # Eight hexadecimal digits mark an extended identifier or an error frame, three digits a
-    # standard identifier.
+    # An extended identifier and an error frame are written with eight hexadecimal digits, a
+    # standard identifier with three.
     long_id = frame.can_id & (EXTENDED | ERROR)
     can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"
     data = frame.data.hex().upper()
@@ -170,5 +171,5 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
     else:
         body = f"#R{len(frame.data) or ''}" if frame.can_id & REMOTE else f"#{data}"
     bus = buses[frame.bus] if frame.bus < len(buses) else "unknown"
-    # can-utils writes microseconds. A frame may have a negative time, which is written as 0.
+    # The log format of can-utils has microseconds. A negative time of a frame is written as 0.
     return f"({max(t_ns, 0) // 10**9}.{max(t_ns, 0) % 10**9 // 1000:06d}) {bus} {can_id}{body} {direction}\n"

@@ -1,1 +1,1 @@
-"""Reader for complete and for broken logs."""
+"""Reader of logs, also of incomplete and damaged log files."""

@@ -1,7 +1,7 @@
-"""Reading of the messages in an uncompressed chunk, in blocks of messages of equal length.
+"""Reader for the messages of an uncompressed chunk. The reader returns blocks of consecutive messages of equal length.
 
-Message record: opcode u8 = 5, length u64, channel u16, sequence u32, log time u64 [ns], publish
-time u64 [ns], data.
+Layout of a Message record: opcode u8 = 5, length u64, channel u16, sequence u32, log time u64 [ns],
+publish time u64 [ns], data.
 """
 
 import struct
@@ -13,31 +13,34 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAX_CHANNELS = 1000
-"""Largest number of schemas in a chunk, and largest number of channels."""
+"""Largest accepted number of schemas in a chunk. The number of channels has the same limit."""
 MIN_BLOCKS = 128
-"""Number of blocks allowed in every chunk."""
+"""Number of message blocks that even the smallest chunk may have."""
 BYTES_PER_BLOCK = 16
-"""Compressed bytes of a chunk that allow one further block."""
+"""Number of compressed bytes for which a chunk may have one further message block."""
 LINEAR_SEARCH_LIMIT = 4
-"""Number of equal records to count one by one. The end of a longer block is found with numpy."""
+"""Number of records of a block that are counted one by one.
+
+The end of a longer block is found with numpy.
+"""
 _RECORD = struct.Struct("<BQ")
-"""Start of every record: opcode, length."""
+"""Layout of the start of every record: opcode, length."""
 _CHANNEL = struct.Struct("<H")
 MESSAGE = int(Opcode.MESSAGE)
 _HEADER = 11
-"""Bytes that the messages of a block have in common: opcode, length and channel."""
+"""Number of bytes that are equal in all messages of a block: opcode, length and channel."""
 _RECORD_HEADERS = np.dtype(f"V{_HEADER}")
 _BODY = 31
-"""Start of the data in a Message record."""
+"""Offset of the data in a Message record [bytes]."""
 
 
 class MessageRows(NamedTuple):
-    """Consecutive messages of equal channel and length.
+    """Consecutive messages that have the same channel and the same length.
 
     Attributes:
-        channel: channel id.
+        channel: id of the channel.
         start: offset of the first record in the chunk [bytes].
-        records: (n, size of a record) bytes.
+        records: (n, size of a record) bytes of each record.
     """
 
     channel: int
@@ -45,26 +48,26 @@ class MessageRows(NamedTuple):
     records: NDArray[np.uint8]
 
     def messages(self) -> list[bytes]:
-        """Return each message as bytes, in order."""
+        """Return the data of each message as bytes, in order."""
         size = self.records.shape[1]
         content = self.records.tobytes()
         return [content[at + _BODY : at + size] for at in range(0, len(content), size)]
 
     def data(self) -> NDArray[np.uint8]:
-        """Return the messages as an array (n, size of a message)."""
+        """Return the data of the messages as an array (n, size of a message)."""
         return self.records[:, _BODY:]
 
     def sequence(self) -> NDArray[np.uint32]:
-        """Return the sequence numbers (n,)."""
+        """Return the sequence numbers of the messages (n,)."""
         return np.ascontiguousarray(self.records[:, 11:15]).view("<u4")[:, 0]
 
     def log_times(self) -> NDArray[np.uint64]:
-        """Return the log times (n,) [ns]."""
+        """Return the log times of the messages (n,) [ns]."""
         return np.ascontiguousarray(self.records[:, 15:23]).view("<u8")[:, 0]
 
 
 class Definitions(NamedTuple):
-    """Schemas and channels of a chunk.
+    """Schemas and channels that a chunk defines.
 
     Attributes:
         schemas: (id, name, encoding, data) of each schema.
@@ -76,13 +79,13 @@ class Definitions(NamedTuple):
 
 
 def iter_messages(content: bytes, packed: int, channels: frozenset[int] | None = None) -> Iterator[MessageRows]:
-    """Yield the messages of a chunk in blocks, from all channels or from the given channels.
+    """Yield the messages of a chunk in blocks, either of all channels or of the given channels.
 
     Args:
         content: the uncompressed chunk.
-        packed: compressed size of the chunk [bytes]. The size limits the work that a small file can
-            cause.
-        channels: ids of the channels to read.
+        packed: compressed size of the chunk [bytes]. The size limits the number of blocks, and with
+            it the work that a small file can cause.
+        channels: ids of the channels to read. If None is given, all channels are read.
 
     Raises:
         ValueError: the chunk is damaged.
@@ -118,10 +121,10 @@ def iter_messages(content: bytes, packed: int, channels: frozenset[int] | None =
 
 
 def _count_equal(content: bytes, at: int, size: int) -> int:
-    """Count the consecutive records with the size and channel of the first record.
+    """Count the consecutive records that have the size and the channel of the first record.
 
     Args:
-        content: the chunk.
+        content: the uncompressed chunk.
         at: offset of the first record in the chunk [bytes].
         size: size of a record [bytes].
     """
@@ -135,8 +138,8 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
             return count
         count += 1
         after += size
-    # Steps grow by four, so that a long block takes few comparisons. `ndarray` with a stride reads
-    # only the headers.
+    # Each step is four times as long as the last one, so that a long block takes few comparisons.
+    # `ndarray` with a stride reads only the headers of the records.
     while count < max_count:
         number = min(step, max_count - count)
         heads = np.ndarray(number, _RECORD_HEADERS, content, at + count * size, (size,)).tobytes()
@@ -149,7 +152,10 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
 
 
 def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
-    """Count the leading elements of `heads` that equal `head`. At least one element must differ."""
+    """Count the elements at the start of `heads` that equal `head`.
+
+    At least one element must differ.
+    """
     low = 0
     while number - low > 1:
         middle = (low + number) // 2
@@ -161,9 +167,9 @@ def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
 
 
 def schemas_and_channels(content: bytes) -> Definitions:
-    """Return the schemas and channels at the start of a chunk.
+    """Return the schemas and channels that are defined at the start of a chunk.
 
-    Raises the errors of `iter_messages`.
+    The errors are those of `iter_messages`.
     """
     result = Definitions([], [])
     at = 0
@@ -183,13 +189,13 @@ def schemas_and_channels(content: bytes) -> Definitions:
 
 
 def _read_text(body: bytes, at: int) -> tuple[str, int]:
-    """Read a string, and return the string and the offset after it."""
+    """Read a string of a record, and return the string and the offset after it."""
     raw, at = _read_bytes(body, at)
     return raw.decode(), at
 
 
 def _read_bytes(body: bytes, at: int) -> tuple[bytes, int]:
-    """Read a byte array, and return the array and the offset after it."""
+    """Read a byte array of a record, and return the array and the offset after it."""
     (size,) = struct.unpack_from("<I", body, at)
     if at + 4 + size > len(body):
         raise ValueError("a text extends beyond the end of its record")

@@ -1,4 +1,4 @@
-"""Description of the hand in a log."""
+"""Description of the hand that a log contains."""
 
 from handctl.errors import LogError
 from handctl.hand.description import Hand
@@ -7,15 +7,15 @@ from handctl.log.header import RunHeader
 
 
 def described_hand(header: RunHeader, where: str) -> Hand:
-    """Return the hand described in a log, after a check of its names against the columns of the log.
+    """Return the hand that a log describes, after a check that description and header have the same names.
 
     Args:
         header: header of the log.
-        where: name of the description in messages.
+        where: name of the description in error messages.
 
     Raises:
-        ConfigError: the description is not a valid hand.
-        LogError: joints, tendons, motors or digits in the description and in the header differ.
+        ConfigError: the description does not describe a valid hand.
+        LogError: the description and the header name different joints, tendons, motors or digits.
     """
     hand = hand_from_content(parse_toml(header.hand_toml, where), where)
     described = (hand.joints, hand.tendon_names, hand.motor_names, hand.digit_names)

@@ -1,8 +1,8 @@
 """Access to a log file that may be truncated, damaged, or malicious.
 
-Every size is checked before memory is allocated.
+Every size that the file declares is checked before memory of this size is allocated.
 
-Source: faults I08 and I09.
+Source: faults I08 and I09 in the catalogue of faults.
 """
 
 import os
@@ -26,20 +26,20 @@ MAX_CHUNK = 32 << 20
 DAMAGE_ERRORS = (
     ValueError, struct.error, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError, zstandard.ZstdError,
 )  # fmt: skip
-"""Exceptions raised in the reading code by a bad file."""
+"""Exceptions that a bad file can cause in the reading code."""
 
 
 class LogErrorContext:
-    """Context `with LogErrorContext(where)` that converts an error from a bad file to a LogError with the position.
+    """Context `with LogErrorContext(where)` that turns an error caused by a bad file into a LogError with the position.
 
-    This is a class for speed, because a log is read in thousands of pieces. A generator would be
-    slower.
+    A log is read in thousands of pieces, with a context for each piece. Therefore the context is a
+    class, because a generator would be slower.
     """
 
     __slots__ = ("where",)
 
     def __init__(self, where: str) -> None:
-        """Store the position for the error."""
+        """Store the position in the file that the error shall name."""
         self.where = where
 
     def __enter__(self) -> None:
@@ -51,7 +51,7 @@ class LogErrorContext:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Raise a LogError in place of an exception caused by a bad file."""
+        """Raise a LogError instead of an exception that a bad file has caused."""
         if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE_ERRORS):
             return
         missing = isinstance(error, KeyError)
@@ -64,11 +64,11 @@ class ChunkLocation(NamedTuple):
 
     Attributes:
         offset, end: start and end of the chunk's record [bytes].
-        data: offset of the compressed bytes.
-        first, last: times of the first and last message [ns].
-        size: uncompressed size [bytes].
-        crc: CRC-32 of the uncompressed bytes, or 0 without a checksum.
-        compression: "", "lz4" or "zstd".
+        data: offset of the compressed bytes in the file.
+        first, last: times of the first and last message of the chunk [ns].
+        size: uncompressed size of the chunk [bytes].
+        crc: CRC-32 of the uncompressed bytes, or 0 if the chunk has no checksum.
+        compression: name of the compression: "", "lz4" or "zstd".
     """
 
     offset: int
@@ -82,23 +82,23 @@ class ChunkLocation(NamedTuple):
 
 
 class LogFile:
-    """An MCAP file open for reading.
+    """MCAP file that is open for reading.
 
     Attributes:
-        name: path of the file for messages.
+        name: path of the file for error messages.
         size: size of the file [bytes].
     """
 
     def __init__(self, path: Path) -> None:
-        """Open a file.
+        """Open a file for reading.
 
         Raises:
-            LogError: the path is not a regular file, or cannot be opened.
+            LogError: the path is not a regular file, or the file cannot be opened.
         """
         self.name = printable_text(str(path))
         self._latest: tuple[ChunkLocation, bytes] | None = None
         try:
-            # O_NONBLOCK: opening a named pipe without a writer would wait without end.
+            # Without O_NONBLOCK, opening a named pipe that nobody writes to would wait without end.
             self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0))
         except OSError as error:
             raise LogError(f"cannot open: {error.strerror}", self.name, "a log") from error
@@ -113,14 +113,14 @@ class LogFile:
         os.close(self._fd)
 
     def at(self, offset: int) -> str:
-        """Return a position in the file as text for errors."""
+        """Return a position in the file as text for error messages."""
         return f"{self.name}, byte {offset}"
 
     def read(self, offset: int, size: int) -> bytes:
-        """Read exactly `size` bytes.
+        """Read exactly `size` bytes of the file.
 
         Raises:
-            LogError: the file has become shorter.
+            LogError: the file has become shorter since opening.
         """
         data = os.pread(self._fd, size, offset)
         if len(data) != size:
@@ -133,7 +133,7 @@ class LogFile:
         Args:
             start: start of the part [bytes].
             end: end of the part [bytes].
-            value: CRC-32 of the bytes before the part.
+            value: CRC-32 of the bytes that precede the part.
         """
         while start < end:
             data = self.read(start, min(1 << 20, end - start))
@@ -142,14 +142,14 @@ class LogFile:
         return value
 
     def content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
-        """Return the uncompressed bytes of a chunk. The declared size is never exceeded.
+        """Return the uncompressed bytes of a chunk, never more than the declared size.
 
         Args:
-            chunk: the chunk.
-            checked: True to compare the checksum.
+            chunk: location of the chunk.
+            checked: True to compare the chunk's checksum.
 
         Raises:
-            LogError: size or checksum differs from the declared value.
+            LogError: the size or the checksum of the chunk differs from the declared value.
         """
         if self._latest and self._latest[0] == chunk:
             return self._latest[1]
@@ -167,7 +167,8 @@ class LogFile:
 
 def _decompress(packed: bytes, chunk: ChunkLocation) -> bytes:
     """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
-    # The extra byte shows a chunk that is longer than declared, without decompressing all of it.
+    # If a chunk is longer than declared, the extra byte reveals it, without decompressing all of
+    # the chunk.
     if chunk.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))
     if chunk.compression == "zstd":

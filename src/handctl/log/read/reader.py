@@ -1,4 +1,7 @@
-"""Reader that returns a recorded run as arrays, ticks, and events, from complete or broken files."""
+"""Reader of arrays, ticks and events of a recorded run.
+
+The log file may be incomplete or damaged.
+"""
 
 import functools
 import json
@@ -32,17 +35,23 @@ from handctl.printing import printable_text
 Array = NDArray[np.float64]
 
 _MAX_CACHED_TAILS = 1000
-"""Largest number of cached message ends without events."""
+"""Largest number of message ends without events in the cache."""
 VALUES_START = 4 + 8 + 8 + 8
-"""Offset of the values in a StatisticsValues: after encapsulation, stamp, empty frame_id, and length."""
+"""Offset of the values in a StatisticsValues message [bytes].
+
+Encapsulation, stamp, empty frame_id and length precede the values.
+"""
 VALUES_END = -4
-"""End of the values in a StatisticsValues, counted from the end of the message: names_version follows."""
+"""End of the values in a StatisticsValues message, counted from the end of the message [bytes].
+
+The field names_version follows the values.
+"""
 _CACHE_BYTES = 64 << 20
-"""Largest size of the telemetry held in memory [bytes]."""
+"""Largest size of the telemetry that the reader keeps in memory [bytes]."""
 
 
 def _read_header(scan: RecordScan) -> RunHeader:
-    """Read the header of a run."""
+    """Return the header of the run in a scanned file."""
     record = scan.metadata["handctl.run"]
     if (schema := json.loads(record["schema"])) != SCHEMA:
         raise ValueError(f"log of version {schema}; this reader reads version {SCHEMA}")
@@ -51,17 +60,17 @@ def _read_header(scan: RecordScan) -> RunHeader:
 
 
 _SEQUENCE = 0xFFFF_FFFF
-"""Mask of the low bits of a tick number, which a message stores as its sequence number."""
+"""Mask of the low 32 bits of a tick number. A message has these bits as sequence number."""
 
 
 class _Index(NamedTuple):
     """Index of the chunks of a log.
 
     Attributes:
-        fixed: (ticks,) parts with constant length of all Tick messages.
-        first_of_chunk: (chunks + 1,) index of the first tick in each chunk, followed by the number
-            of ticks.
-        snapshots: chunk of each snapshot, by sequence number.
+        fixed: (ticks,) first part of each Tick message, which has a constant length.
+        first_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
+            number of ticks.
+        snapshots: index of the chunk with each snapshot, by sequence number of the snapshot.
     """
 
     fixed: NDArray[np.void]
@@ -70,13 +79,14 @@ class _Index(NamedTuple):
 
 
 class _Snapshots(Mapping[int, bytes]):
-    """Mapping from tick number to snapshot.
+    """Mapping from tick number to the snapshot of the controller's state after this tick.
 
-    Each snapshot is read when requested, because the snapshots of a day do not fit into memory.
+    A snapshot is read from the file on request, because the snapshots of one day do not fit into
+    memory.
     """
 
     def __init__(self, chunks: dict[int, int], read: Callable[[int, int], bytes]) -> None:
-        """Set the chunk of each snapshot, and the function that reads a snapshot."""
+        """Set the chunk index of each snapshot by tick number, and the function that reads a snapshot."""
         self._chunks = chunks
         self._read = read
 
@@ -94,15 +104,15 @@ class _Snapshots(Mapping[int, bytes]):
 
 
 class RunLog:
-    """Log of one run. Use as a context manager, or call `close`.
+    """Log of one run. Use a log as a context manager, or call `close` at the end.
 
     Attributes:
-        header: names, period, offset, gains, attachments.
-        metadata: all metadata records.
-        end: data from the end of the run (reason, ticks, messages, missed, dropped), empty for an
-            unfinished log.
-        warning: description of a defect of the file, else empty. The data before the defect are
-            complete.
+        header: header of the run: names, period, offset, gains, attachments and others.
+        metadata: all metadata records of the file.
+        end: data that were recorded at the end of the run (reason, ticks, messages, missed, dropped
+            and others). The mapping is empty if the log was not finished.
+        warning: description of a defect of the file, or empty if there is none. The data before the
+            defect are complete.
         scan: positions of all records in the file.
     """
 
@@ -110,13 +120,13 @@ class RunLog:
         """Open a log.
 
         Args:
-            path: path of the file.
-            checked: True to read the whole file and compare its checksum. Otherwise only the
-                checksum of each chunk is compared, when the chunk is read.
+            path: path of the log file.
+            checked: True to read the whole file and compare the checksum of the file. With False,
+                only the checksum of each chunk is compared, when the chunk is read.
 
         Raises:
-            LogError: the file is not a log of handctl, is damaged, or exceeds a limit. An early end
-                of the file is not an error.
+            LogError: the file is not a log of handctl, is damaged, or exceeds a limit. A file that
+                ends early is accepted.
         """
         self._file = LogFile(path)
         self._latest: tuple[ChunkLocation, dict[int, list[MessageRows]]] | None = None
@@ -147,29 +157,29 @@ class RunLog:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file."""
+        """Close the log file."""
         self.close()
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the log file."""
         self._file.close()
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
-        """Return the channel ids of the ticks, of the telemetry, and of all topics."""
+        """Return the channel ids of the ticks and of the telemetry, and those of all topics by name."""
         with LogErrorContext(self._file.at(self._chunks[0].offset)):
             definitions_of_log: Definitions = schemas_and_channels(self._file.content(self._chunks[0]))
             topics = {topic: number for number, _, topic, _, _ in definitions_of_log.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 
     def _rows(self, channel: int, chunks: slice = slice(None)) -> Iterator[tuple[ChunkLocation, MessageRows]]:
-        """Yield the message blocks of a channel, each with its chunk."""
+        """Yield the message blocks of a channel, each with the location of the chunk."""
         for chunk in self._chunks[chunks]:
             yield from ((chunk, rows) for rows in self._rows_of(chunk, channel))
 
     def _rows_of(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
-        """Return the message blocks of a channel in a chunk.
+        """Return the message blocks of one channel in one chunk.
 
-        The latest chunk is cached for callers that read several channels in parallel.
+        The chunk read last is cached, for callers that read several channels of a chunk in turn.
         """
         if self._latest is None or self._latest[0] is not chunk:
             content = self._file.content(chunk)
@@ -193,7 +203,8 @@ class RunLog:
                 with LogErrorContext(self._file.at(chunk.offset)):
                     if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
-                    # Four bytes of CDR encapsulation precede the constant part.
+                    # Four bytes of CDR encapsulation precede the part of constant length in each
+                    # message.
                     parts.append(np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(FIXED_DTYPE)[:, 0])
             counts.append(sum(map(len, parts[before:])))
             for rows in self._rows_of(chunk, self._others.get(SNAPSHOT_TOPIC, -1)):
@@ -202,11 +213,11 @@ class RunLog:
 
     @property
     def _fixed(self) -> NDArray[np.void]:
-        """Return the parts with constant length of all Tick messages (ticks,)."""
+        """Return the first part, which has a constant length, of each Tick message (ticks,)."""
         return self._index.fixed
 
     def __len__(self) -> int:
-        """Return the number of ticks."""
+        """Return the number of ticks in the log."""
         return len(self._fixed)
 
     @property
@@ -231,7 +242,7 @@ class RunLog:
 
     @property
     def state_hash(self) -> NDArray[np.void]:
-        """Return the hash of the state after each tick (ticks,), 8 bytes."""
+        """Return the 8-byte hash of the controller's state after each tick (ticks,)."""
         return self._fixed["state_hash"]
 
     @property
@@ -246,20 +257,21 @@ class RunLog:
 
     @property
     def gaps(self) -> list[Gap]:
-        """Return the places where ticks are missing."""
+        """Return the places of the log where ticks are missing."""
         at = np.flatnonzero(np.diff(self.k) != 1)
         return [Gap(int(self.k[i]), int(self.k[i + 1])) for i in at]
 
     def field(self, name: str) -> Array:
         """Return a telemetry field (ticks, n).
 
-        Unknown values are NaN. A field missing from the log is NaN throughout.
+        Unknown values are NaN. If the log of an earlier version lacks the field, all values are
+        NaN.
 
         Args:
             name: one of `core.types.TELEMETRY_FIELDS`.
 
         Raises:
-            LogError: the field does not exist, or the log is damaged.
+            LogError: there is no telemetry field of this name, or the log is damaged.
         """
         if name not in TELEMETRY_FIELDS:
             raise LogError(
@@ -276,9 +288,9 @@ class RunLog:
 
     @functools.cached_property
     def fields(self) -> tuple[str, ...]:
-        """Return the names of the telemetry fields in the file.
+        """Return the names of the telemetry fields that the file contains.
 
-        Logs of earlier versions lack the last of TELEMETRY_FIELDS.
+        Logs of earlier versions lack the last fields of TELEMETRY_FIELDS.
         """
         for chunk, rows in self._rows(self._values):
             with LogErrorContext(self._file.at(chunk.offset)):
@@ -287,19 +299,19 @@ class RunLog:
 
     @property
     def _width(self) -> int:
-        """Return the number of telemetry columns."""
+        """Return the number of telemetry columns in the file."""
         return column_count(self.header, self.fields)
 
     @functools.cached_property
     def _numbers(self) -> Array:
-        """Return all telemetry columns (ticks, columns)."""
+        """Return the telemetry of all ticks with all columns (ticks, columns)."""
         return self._columns(slice(0, self._width))
 
     def _columns(self, columns: slice) -> Array:
         """Read the given columns of the telemetry (ticks, columns).
 
         Raises:
-            LogError: the sequence numbers of telemetry and ticks differ.
+            LogError: the sequence numbers of the telemetry differ from those of the ticks.
         """
         parts = [np.empty((0, columns.stop - columns.start))]
         sequence = [np.empty(0, np.uint32)]
@@ -313,7 +325,7 @@ class RunLog:
         return np.concatenate(parts)
 
     def _values_parts(self, chunks: slice = slice(None)) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
-        """Yield blocks of the telemetry as (rows, bytes), each with the sequence numbers of the rows."""
+        """Yield blocks of telemetry: the bytes of each row (rows, bytes), and the sequence number of each row."""
         size = VALUES_START + 8 * self._width + 4
         for chunk, rows in self._rows(self._values, chunks):
             data = rows.data()
@@ -325,16 +337,16 @@ class RunLog:
     def packed(self, chunks: slice = slice(None)) -> Iterator[bytes]:
         """Yield the telemetry of each tick in the layout of `Telemetry.packed`.
 
-        Only a part of the file is in memory.
+        The method holds only a part of the file in memory at a time.
 
         Args:
-            chunks: chunks of the file, all by default.
+            chunks: chunks of the file to read, all by default.
         """
         for data, _ in self._values_parts(chunks):
             yield from (row.tobytes() for row in data)
 
     def messages(self) -> Iterator[bytes]:
-        """Yield the Tick message of each tick as stored in the file."""
+        """Yield the Tick message of each tick as the bytes in the file."""
         yield from (message for _, message in self._messages())
 
     def digests(self) -> Iterator[bytes]:
@@ -345,9 +357,9 @@ class RunLog:
 
     @functools.cached_property
     def clock_pairs(self) -> list[ClockPair]:
-        """Return the pairs of wall and monotonic clock, recorded every ten seconds.
+        """Return the simultaneous readings of wall clock and monotonic clock, which were recorded every ten seconds.
 
-        A lockstep run has none.
+        The log of a lockstep run has no readings of clocks.
         """
         pairs = []
         if CLOCK_TOPIC in self._others:
@@ -358,9 +370,9 @@ class RunLog:
 
     @functools.cached_property
     def snapshots(self) -> Mapping[int, bytes]:
-        """Return the snapshots of the controller's state, one per second, as a mapping from tick number.
+        """Return the snapshots of the controller's state by tick number. The log has one for each second.
 
-        Each snapshot is read when requested.
+        A snapshot is read from the file on request.
 
         Logs of earlier versions have no snapshots.
         """
@@ -369,7 +381,7 @@ class RunLog:
         return _Snapshots({k: chunks[k & _SEQUENCE] for k in ticks}, self._snapshot)
 
     def _snapshot(self, k: int, chunk: int) -> bytes:
-        """Read the snapshot of the state after a tick from its chunk.
+        """Read the snapshot of the state after a tick from a chunk.
 
         Raises:
             LogError: the snapshot is damaged.
@@ -381,11 +393,11 @@ class RunLog:
             return snapshots[k]
 
     def names(self, field: str) -> tuple[str, ...]:
-        """Return the names of a field's columns."""
+        """Return the names of the columns of a telemetry field."""
         return self.header.axis(TELEMETRY_AXES[field])
 
     def _messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
-        """Yield each Tick message, with its chunk."""
+        """Yield each Tick message with the location of the chunk."""
         for chunk, rows in self._rows(self._tick):
             yield from ((chunk, message) for message in rows.messages())
 
@@ -398,7 +410,7 @@ class RunLog:
         return self._index.first_of_chunk
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
-        """Yield the ticks in order, from all chunks or from the given chunks."""
+        """Yield the ticks in order, either of all chunks or of the given chunks."""
         for chunk in self._chunks[chunks]:
             with LogErrorContext(self._file.at(chunk.offset)):
                 messages = [message for rows in self._rows_of(chunk, self._tick) for message in rows.messages()]
@@ -407,17 +419,17 @@ class RunLog:
 
     @functools.cached_property
     def _events_and_phases(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
-        """Return the events, and the starts of the grasp phases.
+        """Return the controller's events, and the starts of the grasp phases.
 
-        A message end that occurs repeatedly is decoded only once.
+        If several Tick messages have the same end, this end is decoded only once.
         """
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
         phase_of_tail: dict[bytes, str] = {}
         for index, (chunk, message) in enumerate(self._messages()):
             with LogErrorContext(self._file.at(chunk.offset)):
-                # Ticks without events have equal message ends (phase and empty lists). The cache
-                # avoids decoding them again.
+                # Ticks of one phase without events have equal message ends (the phase and empty
+                # lists). The cache avoids decoding such an end again.
                 tail = message[message_layout(message).tail :]
                 phase = phase_of_tail.get(tail)
                 if phase is None:
@@ -432,10 +444,10 @@ class RunLog:
 
     @property
     def events(self) -> list[LoggedEvent]:
-        """Return the controller's events in order."""
+        """Return the controller's events in the order of time."""
         return self._events_and_phases[0]
 
     @property
     def phases(self) -> list[PhaseChange]:
-        """Return the starts of the grasp phases."""
+        """Return the starts of the grasp phases in the order of time."""
         return self._events_and_phases[1]

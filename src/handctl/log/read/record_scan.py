@@ -1,10 +1,12 @@
 """Scan of the outer records of an MCAP file.
 
-The scan does not rely on the index in the file, and compares every checksum.
+The scan does not use the index at the end of the file. The scan compares the checksums of the
+attachments, of the data section and of the summary.
 
-Record: opcode u8, length u64, content. The data section ends with DataEnd (CRC-32 of all bytes
-before). The summary and the footer follow. Footer, 29 bytes: opcode u8, length u64, two offsets
-u64, CRC-32 u32. The file begins and ends with MAGIC.
+A record consists of opcode u8, length u64, and content. The data section ends with the record
+DataEnd, which has the CRC-32 of all bytes before this record. The summary and the footer follow.
+The footer has 29 bytes: opcode u8, length u64, two offsets u64, CRC-32 u32. The file begins and
+ends with MAGIC.
 
 Source: MCAP specification.
 """
@@ -23,20 +25,23 @@ from handctl.log.read.logfile import MAX_CHUNK, ChunkLocation, LogErrorContext, 
 MAX_ATTACHMENT = 16 << 20
 """Largest accepted size of one attachment [bytes]."""
 MAX_ATTACHMENTS = 64 << 20
-"""Largest accepted total size of the attachments [bytes]."""
+"""Largest accepted total size of the attachments of a file [bytes]."""
 MAX_METADATA = 1 << 20
 """Largest accepted size of a metadata record [bytes]."""
 MAX_RECORDS = 1000
-"""Largest accepted number of records of each kind: attachments, metadata, unknown, damaged."""
+"""Largest accepted number of attachments.
+
+Metadata, unknown and damaged records have the same limit each.
+"""
 MAX_RATIO = 64
 """Largest accepted ratio of the uncompressed size of all chunks to the size of the file.
 
-The log of a hand at rest compresses to a fifteenth.
+The log of a hand at rest is compressed to a fifteenth, well within this limit.
 """
 
 _RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
-"""Start of a Chunk: first and last time [ns], uncompressed size, CRC-32, length of the compression's name."""
+"""Layout of a Chunk's start: first and last time [ns], uncompressed size, CRC-32, length of the compression's name."""
 _INDEX = int(Opcode.MESSAGE_INDEX)
 _LENGTHS: dict[int, int] = {
     Opcode.HEADER: 8,
@@ -49,17 +54,17 @@ _LENGTHS: dict[int, int] = {
 
 @dataclass(slots=True)
 class RecordScan:
-    """Result of the scan of a file.
+    """Result of the scan of an MCAP file.
 
     Attributes:
-        chunks: all complete chunks.
+        chunks: locations of all complete chunks.
         attachments: (media type, time, bytes) of each attachment, by name.
         metadata: values of each metadata record, by name.
         end: offset after the last complete record of the data section.
         size: size of the file [bytes].
-        complete: True if the data section has an end record and the correct checksum.
-        problem: description of a defect of the file, else empty.
-        skipped: (start, end) of every skipped damaged record.
+        complete: True if the data section has an end record with the correct checksum.
+        problem: description of a defect of the file, or empty if there is none.
+        skipped: (start, end) of every damaged record that the scan has skipped.
     """
 
     chunks: list[ChunkLocation] = field(default_factory=list)
@@ -80,7 +85,7 @@ class _Fields:
         self._at = 0
 
     def number(self, code: str) -> int:
-        """Read a number."""
+        """Read a number of the given `struct` format."""
         value = struct.unpack_from("<" + code, self._data, self._at)[0]
         self._at += struct.calcsize("<" + code)
         return int(value)
@@ -102,19 +107,19 @@ class _Fields:
 
 
 def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bool = False) -> None:
-    """Read the outer records of a file into a scan.
+    """Read the outer records of a file, and add their content to a scan.
 
-    An early end of the file is not an error: `problem` describes the end, and `scan` has all
-    complete records.
+    A file that ends early raises no error. `scan.problem` then describes the end, and `scan` has
+    all complete records.
 
     Args:
-        file: the file.
-        scan: empty scan to be filled. After an error, `scan` has the records before the damage.
-        checked: True to compare the checksum of the data section, for which the whole file is read.
-        skip: True to skip a damaged record with a known end instead of raising an error.
+        file: the MCAP file.
+        scan: empty scan to be filled. After an error, the scan has the records before the damage.
+        checked: True to read the whole file and to compare the checksum of the data section.
+        skip: True to skip a damaged record whose end is known, instead of raising an error.
 
     Raises:
-        LogError: the file is not an MCAP file, is damaged inside, or exceeds a limit.
+        LogError: the file is not an MCAP file, is damaged before the end, or exceeds a limit.
     """
     scan.size = file.size
     if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
@@ -154,9 +159,9 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
 
 
 def scan_path(path: Path) -> RecordScan:
-    """Return the scan of a file. The checksum of the data section is not compared.
+    """Return the scan of a file, without comparing the checksum of the data section.
 
-    Raises the errors of `scan_records`.
+    The errors are those of `scan_records`.
     """
     file = LogFile(path)
     scan = RecordScan()
@@ -168,7 +173,7 @@ def scan_path(path: Path) -> RecordScan:
 
 
 def _check_limits(scan: RecordScan, unpacked: int, unknown: int) -> None:
-    """Raise an error for a file with too many records or too much uncompressed data."""
+    """Raise an error if a file has too many records or too much uncompressed data."""
     if unpacked > MAX_RATIO * scan.size + MAX_CHUNK:
         raise ValueError(f"chunks of more than {unpacked} bytes")
     if max(unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped)) > MAX_RECORDS:
@@ -178,7 +183,10 @@ def _check_limits(scan: RecordScan, unpacked: int, unknown: int) -> None:
 
 
 def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -> int:
-    """Add one record to a scan. Returns the uncompressed size of a chunk, 0 for other records."""
+    """Add one record to a scan.
+
+    Return the uncompressed size of a chunk, and 0 for other records.
+    """
     start = at + _RECORD.size
     length = end - at - _RECORD.size
     if length < _LENGTHS.get(code, 0):
@@ -198,16 +206,16 @@ def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -
 
 
 def _checked_size(size: int, limit: int) -> int:
-    """Return a size after a check that the size is within its limit."""
+    """Return the size of a record, after a comparison with a limit."""
     if size > limit:
         raise ValueError(f"a record of {size} bytes; at most {limit} are allowed")
     return size
 
 
 def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
-    """Decode the head of a Chunk record. The data are not read."""
-    # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the size of
-    # the records (8).
+    """Decode the head of a Chunk record, without reading the data of the chunk."""
+    # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the
+    # compressed size of the records (8).
     head = file.read(at, min(end - at, 80))
     first, last, size, crc, name = _CHUNK.unpack_from(head, _RECORD.size)
     _checked_size(size, MAX_CHUNK)
@@ -223,7 +231,7 @@ def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
 
 
 def _decode_attachment(scan: RecordScan, data: bytes) -> None:
-    """Decode an attachment and compare its checksum."""
+    """Decode an attachment, and compare the checksum."""
     fields = _Fields(data)
     time_ns = fields.number("Q")
     fields.number("Q")  # creation time
@@ -231,14 +239,14 @@ def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     media = fields.text()
     content = fields.take(fields.number("Q"))
     crc = fields.number("I")
-    # The checksum covers all fields before it. Its own four bytes are the last.
+    # The checksum covers all fields before it. Its own four bytes are the last of the attachment.
     if crc and crc != zlib.crc32(data[: -4 - fields.rest()]):
         raise ValueError("checksum of an attachment does not match")
     scan.attachments[name] = (media, time_ns, content)
 
 
 def _text_map(fields: _Fields) -> dict[str, str]:
-    """Decode a map whose keys and values are text."""
+    """Decode a map of keys and values, both texts, in a record."""
     inner = _Fields(fields.take(fields.number("I")))
     values = {}
     while inner.rest():
@@ -248,7 +256,7 @@ def _text_map(fields: _Fields) -> dict[str, str]:
 
 
 def _check_end(file: LogFile, scan: RecordScan, at: int, end: int, checked: bool) -> None:
-    """Compare the checksums of the data section and of the summary."""
+    """Compare the checksums of the data section and of the summary with the content of the file."""
     (crc,) = struct.unpack("<I", file.read(at + _RECORD.size, 4))
     if end != at + _RECORD.size + 4 or (checked and crc and crc != file.crc(0, at)):
         raise LogError("damaged log: checksum of the data does not match", file.at(at), "an intact file")

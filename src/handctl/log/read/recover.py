@@ -1,4 +1,4 @@
-"""Recovery of a log: a new, complete file is written from the intact parts of a broken file."""
+"""Recovery of a log. The intact parts of a broken file are written into a new, complete file."""
 
 import enum
 import os
@@ -17,14 +17,14 @@ from handctl.output import atomic_path
 
 
 class RecoveryStatus(enum.IntEnum):
-    """Result of a recovery. The numbers are exit codes."""
+    """Result of a recovery. The number of the result is the exit code of the command."""
 
     WHOLE = 0
-    """The file was complete. The new file has the same content."""
+    """The old file was complete. The new file has the same content."""
     NOTHING = 1
-    """The file has no complete chunk."""
+    """The old file has no intact chunk. No new file was written."""
     LOSSY = 3
-    """The file was broken. The new file has the complete chunks of the old file."""
+    """The old file was broken. The new file has the intact chunks of the old file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +34,8 @@ class Recovery:
     Attributes:
         status: result of the recovery.
         chunks, messages: number of copied chunks and messages.
-        lost: (start, end) of each range of the old file not copied [bytes].
-        problem: description of a defect of the old file, else empty.
+        lost: (start, end) of each range of the old file that was not copied [bytes].
+        problem: description of a defect of the old file, or empty if there is none.
     """
 
     status: RecoveryStatus
@@ -46,16 +46,16 @@ class Recovery:
 
 
 def recover_log(path: Path, out: Path) -> Recovery:
-    """Copy all intact chunks, attachments and metadata into a new file.
+    """Copy all intact chunks, attachments and metadata of a log into a new file.
 
     Args:
         path: path of a complete or broken log.
         out: path of the new file. No file is written if the log has no intact chunk.
 
     Raises:
-        LogError: path cannot be opened or is not an MCAP file.
-        ConfigError: out cannot be created.
-        OSError: out cannot be written.
+        LogError: the file at `path` cannot be opened or is not an MCAP file.
+        ConfigError: the new file cannot be created.
+        OSError: the new file cannot be written.
     """
     file = LogFile(path)
     scan = RecordScan()
@@ -77,9 +77,9 @@ def recover_log(path: Path, out: Path) -> Recovery:
 
 
 def scan_damaged(file: LogFile, scan: RecordScan) -> str:
-    """Scan a file like `scan_records`, but return the defect of the file instead of raising an error.
+    """Scan a file like `scan_records`, but return a description of the file's defect instead of raising an error.
 
-    The intact records before and after a damaged record are in `scan`.
+    After the call, `scan` has the intact records before and after a damaged record.
     """
     try:
         scan_records(file, scan, skip=True)
@@ -91,7 +91,7 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
 
 
 def _copy_intact_parts(file: LogFile, scan: RecordScan, problem: str, new: Container) -> Recovery:
-    """Copy the intact parts of a file, and write the end of the new file."""
+    """Copy the intact parts of a file into the new file, and write the end of the new file."""
     for name, (media, time_ns, data) in scan.attachments.items():
         new.attach(name, media, data, time_ns)
     for name, values in scan.metadata.items():
@@ -149,5 +149,5 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: Container) -> None:
 
 
 def _message_offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":
-    """Return the offset of each message in a block (n,) [bytes]."""
+    """Return the offset of each message in a block of n messages of equal length (n,) [bytes]."""
     return np.arange(shape[0], dtype=np.uint64) * np.uint64(shape[1])

@@ -1,4 +1,4 @@
-"""Events, gaps and phases of a log."""
+"""Events, gaps and grasp phases of a log."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,13 +10,13 @@ from handctl.core.types import Event
 from handctl.errors import LogError
 
 MAX_PERIODS = 1_000_000
-"""Number of tick periods allowed for every run, also with few ticks in its log."""
+"""Number of tick periods that every run may last, even if its log has few ticks."""
 MAX_PERIODS_PER_TICK = 10
-"""Number of additional tick periods allowed for each tick in the log."""
+"""Number of further tick periods that a run may last for each tick in its log."""
 
 
 class LoggedEvent(NamedTuple):
-    """Event with its tick number and time [ns]."""
+    """Event of the controller, with number and time [ns] of the tick."""
 
     k: int
     t_ns: int
@@ -24,7 +24,7 @@ class LoggedEvent(NamedTuple):
 
 
 class Gap(NamedTuple):
-    """Ticks missing from the log: number of the last tick before the gap and of the first tick after it."""
+    """Gap in a log where ticks are missing: numbers of the last tick before and of the first tick after the gap."""
 
     before: int
     after: int
@@ -39,11 +39,11 @@ class PhaseChange(NamedTuple):
 
 
 def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArray[np.str_]:
-    """Return the name of the grasp phase in every tick (ticks,).
+    """Return the name of the grasp phase in each tick (ticks,).
 
     Args:
-        changes: phase changes, from the first tick on.
-        k: (ticks,) tick numbers, rising.
+        changes: phase changes in order, the first at the first tick.
+        k: (ticks,) tick numbers in rising order.
     """
     starts = np.array([change.k for change in changes])
     names = np.array([change.name for change in changes])
@@ -51,16 +51,16 @@ def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArr
 
 
 def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
-    """Raise an error for ticks that do not fit a regular time grid.
+    """Raise an error if the times of ticks do not fit a regular time grid.
 
-    With a wrong clock in the log, the time grid could need too much memory.
+    If the times in a log are wrong, a time grid over the run could need too much memory.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].
         period_ns: period of the run [ns].
 
     Raises:
-        LogError: the ticks are out of order, or nearly all are missing.
+        LogError: the ticks are out of order, or nearly all ticks of the run are missing.
     """
     early = np.flatnonzero(t_ns[1:] <= t_ns[:-1])
     if len(early):

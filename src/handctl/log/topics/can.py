@@ -1,4 +1,4 @@
-"""Topics with the CAN frames, as can_msgs/Frame and ros2_socketcan_msgs/FdFrame."""
+"""Topics with the CAN frames of a run, as can_msgs/Frame and ros2_socketcan_msgs/FdFrame."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,11 @@ from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import Registry, Stamps, Stream, Times
 
 _ID_MASK = 0x1FFF_FFFF
-"""The 29 identifier bits of can_id. The three bits above are flags, as in SocketCAN."""
+"""The 29 identifier bits of can_id. The three bits above them are flags, as in SocketCAN."""
 
 
 def can_frame_template(bus: str) -> Template:
-    """Return the template of a can_msgs/Frame from one bus."""
+    """Return the template of can_msgs/Frame messages for one bus."""
     out = TemplateWriter()
     out.header(bus)
     out.place("id", "<u4")
@@ -39,7 +39,7 @@ def encode_fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
 
 
 class _DirectionTopics:
-    """Topics of one direction, rx or tx."""
+    """Topics for the frames of one direction, rx (received) or tx (sent)."""
 
     def __init__(self, buses: tuple[str, ...], registry: Registry, direction: str) -> None:
         self._buses = (*buses, "unknown")
@@ -48,12 +48,12 @@ class _DirectionTopics:
         self._streams = [Stream(self._channel, can_frame_template(bus)) for bus in self._buses]
 
     def blocks(self, frames: FrameBatch, stamps: Stamps, measured: Times) -> list[MessageBlock]:
-        """Return the messages of frames as blocks.
+        """Return messages with the given frames as blocks.
 
         Args:
             frames: frames of many ticks.
             stamps: log times of the frames.
-            measured: publish times and header stamps [ns].
+            measured: publish times and header stamps of the messages [ns].
         """
         if not len(frames.frames):
             return []
@@ -69,13 +69,13 @@ class _DirectionTopics:
     def _classical_messages(
         self, frames: NDArray[np.void], bus: NDArray[np.intp], stamps: Stamps, measured: Times
     ) -> MessageBlock:
-        """Return the messages of classical frames, in the order of the frames."""
+        """Return messages with the given classical CAN frames, in the order of the frames."""
         used = np.unique(bus)
         if len(used) == 1:
             return self._streams[int(used[0])].block(stamps, _frame_values(frames), measured)
         records: list[bytes] = [b""] * len(frames)
-        # The bus name is part of the template. Frames of several buses are made bus by bus and put
-        # back in order.
+        # The bus name is part of the template. If there are several buses, the messages are made
+        # bus by bus, and then put back into the order of the frames.
         for bus_index in used.tolist():
             indexes = np.flatnonzero(bus == bus_index)
             block = self._streams[bus_index].block(
@@ -94,7 +94,7 @@ class _DirectionTopics:
         stamps: Stamps,
         measured: Times,
     ) -> MessageBlock:
-        """Return the messages of CAN FD frames."""
+        """Return messages with those of the given frames that are CAN FD frames."""
         records = []
         rest = memoryview(frames.long_data)
         columns = [frames.frames[name].tolist() for name in ("can_id", "length")]
@@ -102,8 +102,8 @@ class _DirectionTopics:
         sequence = stamps.sequence.tolist()
         log = stamps.log.tolist()
         times = measured.tolist()
-        # `rest` holds the long bytes of the frames not yet encoded. Classical frames have no long
-        # bytes.
+        # `rest` holds the payload bytes after the eighth of all frames not yet encoded. Classical
+        # frames have no such bytes.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             more = max(length - 8, 0)
             payload = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more])
@@ -117,7 +117,7 @@ class _DirectionTopics:
 
 
 def _join_records(channel: int, log_times: Times, records: list[bytes]) -> MessageBlock:
-    """Return Message records joined to one block."""
+    """Join Message records to one block, and return the block."""
     ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(records), log_times, ends[:-1])
 
@@ -136,21 +136,21 @@ def _frame_values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
 
 
 class CanTopics:
-    """Topics /can/rx and /can/tx.
+    """Topics /can/rx and /can/tx, and /can/rx_fd and /can/tx_fd for CAN FD frames.
 
     The log time of a message is the time of the tick. Header stamp and publish time are the time of
     the frame.
     """
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
-        """Register the topics."""
+        """Register the topics for received and sent frames."""
         self._rx, self._tx = (_DirectionTopics(header.buses, registry, direction) for direction in ("rx", "tx"))
         self._offset = header.offset_ns
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the messages of all frames of a batch.
+        """Return messages with all frames of a batch of ticks.
 
-        The time of a sent frame is the start of its tick.
+        The time of a sent frame is the start of the tick.
         """
         sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick]
         blocks = []

@@ -1,8 +1,8 @@
-"""Hash chain over the ticks. A changed byte breaks the chain at the tick of this byte.
+"""Hash chain over the ticks of a log. If a byte of a tick is changed, the chain breaks at this tick.
 
-The chain detects damage and exchanged files. The chain is not a signature, because an attacker can
-compute all later hashes again. The last hash is in the end record of the log. A copy of this hash
-in another place protects the whole log.
+The chain detects damage to the log and exchanged attached files. The chain is not a signature,
+because an attacker can compute all later hashes again. The last hash is in the end record of the
+log. Whoever keeps a copy of this hash in another place can detect any change of the log.
 """
 
 import hashlib
@@ -23,14 +23,18 @@ HASH_SIZE = 8
 
 
 def first_hash(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
-    """Compute the hash before the first tick, over all data of a run except data about machine and date."""
+    """Compute the hash with which the chain begins.
+
+    The hash covers all data of the header except data about machine and date.
+    """
     digest = hashlib.blake2b(digest_size=HASH_SIZE)
     texts = {
         f"{group}.{name}": text.encode("utf-8", "backslashreplace")
         for group, table in (("m", metadata), ("g", gains))
         for name, text in table.items()
     }
-    # Name and length precede each text, so that no two sets of texts give the same bytes.
+    # Name and length precede each text, so that two different sets of texts never give the same
+    # bytes.
     for name, data in sorted((texts | {f"a.{name}": data for name, data in attachments.items()}).items()):
         digest.update(f"{name}:{len(data)}:".encode("utf-8", "backslashreplace"))
         digest.update(data)
@@ -38,7 +42,7 @@ def first_hash(metadata: Mapping[str, str], gains: Mapping[str, str], attachment
 
 
 def first_hash_of_run(header: RunHeader) -> bytes:
-    """Return the hash before the first tick of a run."""
+    """Return the hash with which the chain of a run begins."""
     return first_hash(
         header.metadata,
         header.gains,
@@ -47,10 +51,10 @@ def first_hash_of_run(header: RunHeader) -> bytes:
 
 
 def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
-    """Compute the hash of a tick.
+    """Compute the chain hash of a tick.
 
     Args:
-        before: hash of the previous tick, or the seed.
+        before: hash of the previous tick. For the first tick, the hash with which the chain begins.
         message: the Tick message.
         numbers: packed telemetry of the tick.
     """
@@ -58,11 +62,12 @@ def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
 
 
 def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator[bytes]:
-    """Yield the hashes of consecutive ticks.
+    """Yield the chain hashes of consecutive ticks.
 
     Args:
-        before: hash of the previous tick, or the seed.
-        ticks: message and packed telemetry of each tick.
+        before: hash of the tick before these ticks. For the first tick, the hash with which the
+            chain begins.
+        ticks: Tick message and packed telemetry of each tick.
     """
     for message, numbers in ticks:
         before = tick_hash(before, message, numbers)
@@ -70,7 +75,7 @@ def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator
 
 
 def chain_message() -> Template:
-    """Return the template of a handctl_msgs/Chain."""
+    """Return the template of a handctl_msgs/Chain message."""
     out = TemplateWriter()
     out.header()
     out.place("digest", "|u1", HASH_SIZE)
@@ -78,19 +83,19 @@ def chain_message() -> Template:
 
 
 class ChainTopic:
-    """Topic with the hash of every tick.
+    """Topic with the chain hash of every tick.
 
     Attributes:
-        last: hash of the latest tick.
+        last: chain hash of the latest tick.
     """
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
-        """Register the topic, and start the chain with the seed."""
+        """Register the topic, and start the chain with the hash of the header."""
         self._stream = Stream(registry.add(TOPIC, "handctl_msgs/Chain"), chain_message())
         self.last = first_hash_of_run(header)
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the messages of all ticks of a batch."""
+        """Return messages with the chain hashes of all ticks of a batch."""
         numbers = (row.tobytes() for row in batch.numbers)
         hashes = list(tick_hashes(self.last, zip(batch.messages, numbers, strict=True)))
         self.last = hashes[-1]

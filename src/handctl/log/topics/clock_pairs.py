@@ -1,7 +1,8 @@
-"""Topic with pairs of wall and monotonic clock, every ten seconds.
+"""Topic with simultaneous readings of wall clock and monotonic clock. A message follows every ten seconds.
 
-The pairs show steps of the wall clock during the run. Only the recorder reads these clocks. A
-lockstep run has no pairs, because its messages depend only on the ticks.
+The pairs of readings show whether the wall clock was stepped during the run. Only the recorder
+reads these clocks. The log of a lockstep run has no pairs, because all messages of the log depend
+only on the ticks.
 """
 
 import struct
@@ -14,24 +15,24 @@ from handctl.log.topics.message_streams import Registry, Stamps, variable_length
 
 TOPIC = "/clock_pairs"
 PAIR_PERIOD_NS = 10_000_000_000
-"""Interval between pairs [ns]."""
+"""Interval between pairs of clock readings [ns]."""
 MIN_STEP_NS = 50_000_000
 """Smallest reported step of the wall clock [ns].
 
-Gradual adjustment (slewing) changes the wall clock by at most 5 ms in ten seconds (adjtimex: 500
-ppm).
+A gradual adjustment (slewing) shifts the wall clock by at most 5 ms in ten seconds (adjtimex: 500
+ppm), and is not reported.
 """
 _BODY = struct.Struct("<4xII8xqq")
-"""Encapsulation, stamp, empty frame_id with padding, both clocks."""
+"""Layout of a message: encapsulation, stamp, empty frame_id with padding, readings of both clocks."""
 
 
 class ClockPair(NamedTuple):
-    """Readings of both clocks at the same time.
+    """Readings of wall clock and monotonic clock at the same time.
 
     Attributes:
         t_ns: time of the last tick before the pair, since the start of the run [ns].
-        wall_ns: UNIX time [ns].
-        monotonic_ns: CLOCK_MONOTONIC [ns].
+        wall_ns: reading of the wall clock as UNIX time [ns].
+        monotonic_ns: reading of CLOCK_MONOTONIC [ns].
     """
 
     t_ns: int
@@ -40,10 +41,10 @@ class ClockPair(NamedTuple):
 
 
 class ClockStep(NamedTuple):
-    """Step of the wall clock between two pairs.
+    """Step of the wall clock between two pairs of readings.
 
     Attributes:
-        t_s: time of the pair after the step [s].
+        t_s: time of the pair after the step, since the start of the run [s].
         step_s: size of the step [s].
     """
 
@@ -52,14 +53,14 @@ class ClockStep(NamedTuple):
 
 
 class ClockTopic:
-    """Topic with the pairs of clock readings."""
+    """Topic with the pairs of clock readings of a run."""
 
     def __init__(self, registry: Registry) -> None:
         """Register the topic."""
         self._channel = registry.add(TOPIC, "handctl_msgs/ClockPair")
 
     def block(self, stamps: Stamps, wall_ns: int, monotonic_ns: int) -> MessageBlock:
-        """Return the message of one pair."""
+        """Return the message with one pair of clock readings."""
         out = CdrWriter()
         t_ns = int(stamps.log[0])
         out.put("I", t_ns // 10**9)
@@ -81,7 +82,7 @@ def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
 
 
 def clock_steps(pairs: Iterable[ClockPair]) -> Iterator[ClockStep]:
-    """Yield the steps of the wall clock against the monotonic clock."""
+    """Yield the steps of the wall clock, found by comparison with the monotonic clock."""
     before: ClockPair | None = None
     for pair in pairs:
         if before is not None:

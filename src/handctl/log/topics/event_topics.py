@@ -1,4 +1,4 @@
-"""Topics with a message per change: log lines, gains, grasp phase, mode of the hand, action of the safety monitor."""
+"""Topics that get a message at each change: log lines, gains, grasp phase, mode of the hand, safety action."""
 
 import math
 from collections.abc import Iterator
@@ -18,14 +18,14 @@ from handctl.programs.requests import is_routine
 from handctl.safety.action import Action
 
 LOG_LEVEL_NUMBERS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
-"""Numbers of the levels in rcl_interfaces/Log."""
+"""Number of each level of a log line in rcl_interfaces/Log."""
 _DOUBLE = 3
 _STRING = 4
-"""Values of rcl_interfaces/ParameterType."""
+"""Values of rcl_interfaces/ParameterType that the gains use."""
 
 
 def _stamped_writer(t_ns: int) -> CdrWriter:
-    """Return a CDR writer that begins with a time stamp."""
+    """Return a CDR writer whose message begins with a time stamp."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
     out.put("I", t_ns % 10**9)
@@ -45,7 +45,7 @@ def encode_rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
 
 
 def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
-    """Append a gain as rcl_interfaces/Parameter. A text with a number is written as a double."""
+    """Append a gain as rcl_interfaces/Parameter. A text that is a number is written as a double."""
     try:
         number = float(value)
     except ValueError:
@@ -57,15 +57,15 @@ def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
     out.put("q", 0)
     out.put("d", number if is_number else 0.0)
     out.text("" if is_number else value)
-    # The five array fields of ParameterValue are empty.
+    # The five array fields of a ParameterValue stay empty.
     for _ in range(5):
         out.count(0)
 
 
 def encode_parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
-    """Encode gains as rcl_interfaces/ParameterEvent.
+    """Encode new and changed gains as rcl_interfaces/ParameterEvent.
 
-    A text with a number is written as a double.
+    A text that is a number is written as a double.
     """
     out = _stamped_writer(t_ns)
     out.text("/handctl")
@@ -78,7 +78,7 @@ def encode_parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, st
 
 
 def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
-    """Encode a handctl_msgs/GraspPhase, Mode, or Action: header, number, name."""
+    """Encode a message of type GraspPhase, Mode or Action from handctl_msgs, with header, number and name."""
     out = _stamped_writer(t_ns)
     out.text("")
     out.put("B", number)
@@ -87,13 +87,13 @@ def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
 
 
 def _changed_indexes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
-    """Return the indexes of values that differ from the previous value."""
+    """Return the indexes of the values that differ from the previous value."""
     before = [last, *values[:-1]]
     return [index for index, value in enumerate(values) if value != before[index]]
 
 
 class EventTopics:
-    """Topics for events as log lines, and for changes of phase, mode, action, and gains."""
+    """Topics for events as log lines, and for changes of grasp phase, mode, safety action and gains."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
@@ -106,12 +106,12 @@ class EventTopics:
         self._last: dict[int, tuple[int, str]] = {}
 
     def latched(self, stamps: Stamps) -> list[MessageBlock]:
-        """Return the messages with the gains at the start."""
+        """Return the messages with the gains at the start of the run."""
         message = encode_parameter_event(int(stamps.log[0]), self._gains, {})
         return [variable_length_block(self._parameters, stamps, [message])] if self._gains else []
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the messages of a batch."""
+        """Return the messages for the events and changes in a batch of ticks."""
         modes = [Mode(number) for number in batch.mode.tolist()]
         actions = [Action(number) for number in batch.action.tolist()]
         lanes: list[tuple[int, list[tuple[int, str]]]] = [
@@ -128,7 +128,7 @@ class EventTopics:
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
 
     def _line_messages(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the messages with log lines and with changes of gains."""
+        """Return the messages with the log lines and with the changes of gains in a batch of ticks."""
         at: list[int] = []
         lines: list[bytes] = []
         gains_at = []
@@ -154,7 +154,7 @@ def _index_array(values: list[int]) -> NDArray[np.intp]:
 
 
 def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
-    """Yield level, name and text of each log line of a tick."""
+    """Yield level, name and text of each log line for a tick."""
     for io_event in tick.tick_in.io_events:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number

@@ -1,4 +1,4 @@
-"""Topics for diagnostics and temperatures."""
+"""Topics for diagnostics of motors, buses and controller, and for motor temperatures."""
 
 from dataclasses import dataclass, field
 
@@ -16,7 +16,7 @@ from handctl.log.topics.transforms import ROOT
 from handctl.safety.action import Action
 
 TEMPERATURE_PERIOD_NS = 200_000_000
-"""Interval between temperature messages [ns]."""
+"""Interval between the temperature messages of a motor [ns]."""
 DIAGNOSTICS_PERIOD_NS = 1_000_000_000
 """Interval between diagnostics messages [ns]."""
 OK = 0
@@ -58,10 +58,10 @@ def encode_diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> byte
 
 
 def temperature_template() -> Template:
-    """Return the template of a sensor_msgs/Temperature with unknown variance.
+    """Return the template of a sensor_msgs/Temperature message with unknown variance.
 
-    The frame is the palm, because the motors are mounted behind the palm. If the frame were not in
-    /tf, Rerun would find several root frames and show no hand.
+    The frame_id is that of the palm, because the motors are mounted behind the palm. With a frame
+    that is not in /tf, the viewer Rerun would find several root frames and show no hand.
     """
     out = TemplateWriter()
     out.header(ROOT)
@@ -71,9 +71,10 @@ def temperature_template() -> Template:
 
 
 class HealthTopics:
-    """Topics with the status of motors, buses, and controller.
+    """Topics with the status of motors, buses and controller, and with the temperatures of the motors.
 
-    Messages are written every second, and at each change of mode, action, or drive.
+    A status message is written every second, and at each change of the mode, of the safety action,
+    or of a drive's state.
     """
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
@@ -94,7 +95,7 @@ class HealthTopics:
         self._io_events: dict[str, int] = {}
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the messages of a batch."""
+        """Return the status and temperature messages of a batch of ticks."""
         blocks = self._temperature_runs(batch, stamps)
         selected = self._status_ticks(batch)
         messages: list[bytes] = []
@@ -109,7 +110,7 @@ class HealthTopics:
         return blocks
 
     def _temperature_runs(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the temperature messages of the first tick in each interval."""
+        """Return the temperature messages, made from the first tick in each interval."""
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
         self._last_temperature = int(periods[-1])
@@ -123,7 +124,8 @@ class HealthTopics:
 
     def _status_ticks(self, batch: Batch) -> NDArray[np.intp]:
         """Return the indexes of the ticks that get a status message."""
-        # NaN differs from itself and would count as a change in every tick.
+        # NaN differs from itself. An unknown state of a drive would therefore count as a change in
+        # every tick.
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
         state = np.column_stack([batch.mode, batch.action, phases])
         last_state, last_period = self._last
@@ -134,7 +136,7 @@ class HealthTopics:
         return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
 
     def _count_frames(self, batch: Batch, start: int, end: int) -> None:
-        """Count the frames and io events from tick index start up to end."""
+        """Count the frames and io events of the ticks with index `start` up to, but not including, `end`."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first, last = np.searchsorted(frames.tick, (start, end))
             bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
@@ -146,7 +148,7 @@ class HealthTopics:
                 self._io_events[key] = self._io_events.get(key, 0) + event.number
 
     def _statuses(self, batch: Batch, index: int) -> list[DiagnosticStatus]:
-        """Return all statuses at a tick."""
+        """Return the status of controller, buses and motors at a tick."""
         action = Action(int(batch.action[index]))
         level = OK if action == Action.PASS else WARN if action < Action.RELAX else ERROR
         mode = Mode(int(batch.mode[index])).name.lower()
@@ -159,11 +161,11 @@ class HealthTopics:
         return [controller, *self._bus_statuses(), *self._motor_statuses(batch.numbers[index])]
 
     def _count_texts(self) -> dict[str, str]:
-        """Return the counts of io events as text."""
+        """Return the counts of io events as texts, by name."""
         return {f"io {name}": str(number) for name, number in self._io_events.items()}
 
     def _bus_statuses(self) -> list[DiagnosticStatus]:
-        """Return the status of each bus."""
+        """Return the diagnostic status of each bus."""
         return [
             DiagnosticStatus(
                 OK,
@@ -176,7 +178,7 @@ class HealthTopics:
         ]
 
     def _motor_statuses(self, numbers: NDArray[np.float64]) -> list[DiagnosticStatus]:
-        """Return the status of each motor."""
+        """Return the diagnostic status of each motor."""
         statuses = []
         fields = (
             "motor_position",

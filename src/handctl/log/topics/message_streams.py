@@ -1,4 +1,4 @@
-"""Channels of the log, and encoding of many messages at once."""
+"""Channels of a log, and encoding of many messages of a channel at once."""
 
 from dataclasses import dataclass, field
 
@@ -18,24 +18,27 @@ _QOS = (
     "  liveliness: 1\n  liveliness_lease_duration: {{sec: 9223372036, nsec: 854775807}}\n"
     "  avoid_ros_namespace_conventions: false\n"
 )
-"""Quality of service in the form of rosbag2. Durability 1 is transient_local, 2 is volatile."""
+"""Quality of service of a channel, in the format of rosbag2.
+
+Durability 1 is transient_local, 2 is volatile.
+"""
 
 
 @dataclass(slots=True)
 class Registry:
-    """Registry that assigns numbers to schemas and channels, in the order of registration."""
+    """Registry of schemas and channels. Both are numbered in the order of registration."""
 
     schemas: dict[str, Schema] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
 
     def add(self, topic: str, message_type: str, latched: bool = False, note: str = "") -> int:
-        """Register a topic and return its channel id.
+        """Register a topic, and return the channel id.
 
         Args:
             topic: name of the topic.
             message_type: message type, for example "sensor_msgs/JointState".
-            latched: True for a topic with one message at the start.
-            note: note in the channel's metadata.
+            latched: True for a topic with a single message, written at the start of the run.
+            note: note about the topic, for the channel's metadata.
         """
         if message_type not in self.schemas:
             number = len(self.schemas) + 1
@@ -53,27 +56,27 @@ class Registry:
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """Times of n messages.
+    """Log times and sequence numbers of n messages.
 
     Attributes:
-        log: (n,) uint64 log times, including the offset to UNIX time [ns].
-        sequence: (n,) uint32, low bits of the tick number.
+        log: (n,) uint64, log times as UNIX time [ns].
+        sequence: (n,) uint32, low 32 bits of the tick numbers.
     """
 
     log: Times
     sequence: NDArray[np.uint32]
 
     def at(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Stamps":
-        """Return the times of the selected messages."""
+        """Return the log times and sequence numbers of the selected messages."""
         return Stamps(self.log[index], self.sequence[index])
 
 
 def stamps_at(log_ns: int, k: int) -> Stamps:
-    """Return the times of a single message.
+    """Return the log time and sequence number of a single message.
 
     Args:
-        log_ns: log time [ns].
-        k: number of the tick.
+        log_ns: log time of the message [ns].
+        k: number of the message's tick.
     """
     return Stamps(np.array([log_ns], np.uint64), np.array([k & 0xFFFF_FFFF], np.uint32))
 
@@ -84,14 +87,14 @@ def ros_time(t_ns: Times) -> NDArray[np.uint32]:
 
 
 class Stream:
-    """Channel with messages of constant layout."""
+    """Channel whose messages have a constant layout."""
 
     def __init__(self, channel: int, template: Template) -> None:
         """Build the layout of a Message record: 31 bytes of header, and the template."""
         self._channel = channel
         self._stamps = len(template.stamps)
-        # Opcode 5 is Message. Its length excludes opcode and length field: 22 bytes of header and the
-        # data.
+        # Opcode 5 marks a Message record. The length field counts the bytes that follow it: 22
+        # bytes of header and the data.
         self._record = MESSAGE.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
         fields: list[tuple[str, object, int]] = [
             ("sequence", "<u4", 11), ("log", "<u8", 15), ("publish", "<u8", 23),
@@ -104,12 +107,12 @@ class Stream:
     def block(
         self, stamps: Stamps, values: dict[str, NDArray[np.generic]], measured: Times | None = None
     ) -> MessageBlock:
-        """Return a block with the encoded messages.
+        """Encode messages of the channel, and return them as a block.
 
         Args:
-            stamps: log times of the messages.
-            values: variable fields, each (n, size of the field).
-            measured: (n,) times of the values if they differ from the log times [ns].
+            stamps: log times and sequence numbers of the messages.
+            values: values of the variable fields by name, each (n, size of the field).
+            measured: (n,) times of measurement of the values, unless equal to the log times [ns].
         """
         number = len(stamps.log)
         # All messages are copies of the template. A structured array writes each variable field in
@@ -129,7 +132,7 @@ class Stream:
 
 
 def variable_length_block(channel: int, stamps: Stamps, messages: list[bytes]) -> MessageBlock:
-    """Return a block with messages of variable length."""
+    """Join messages of variable length to a block, and return the block."""
     parts = []
     for sequence, t_ns, message in zip(stamps.sequence.tolist(), stamps.log.tolist(), messages, strict=True):
         parts.append(MESSAGE.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message)

@@ -1,6 +1,6 @@
 """Topic with a snapshot of the controller's state every second.
 
-A re-execution of the log can start at any snapshot.
+A re-execution of a log can start at any snapshot.
 """
 
 import struct
@@ -14,7 +14,7 @@ TOPIC = "/controller/snapshot"
 SNAPSHOT_PERIOD_NS = 1_000_000_000
 """Interval between snapshots [ns]."""
 _BODY = struct.Struct("<4xII8xqI")
-"""Encapsulation, stamp, empty frame_id with padding, tick number, length of the data."""
+"""Layout of a message's start: encapsulation, stamp, empty frame_id with padding, tick number, length of the data."""
 
 
 class Snapshot(NamedTuple):
@@ -22,7 +22,7 @@ class Snapshot(NamedTuple):
 
     Attributes:
         k: number of the tick.
-        data: encoded state, see `controller.snapshot`.
+        data: encoded state of the controller, see `controller.snapshot`.
     """
 
     k: int
@@ -30,18 +30,18 @@ class Snapshot(NamedTuple):
 
 
 class SnapshotTopic:
-    """Topic of the snapshots."""
+    """Topic with the snapshots of the controller's state."""
 
     def __init__(self, registry: Registry) -> None:
         """Register the topic."""
         self._channel = registry.add(TOPIC, "handctl_msgs/Snapshot")
 
     def block(self, t_ns: int, snapshot: Snapshot) -> MessageBlock:
-        """Return the message of one snapshot.
+        """Return the message with one snapshot.
 
         Args:
             t_ns: log time of the tick [ns].
-            snapshot: the snapshot.
+            snapshot: the snapshot to encode.
         """
         out = CdrWriter()
         out.put("I", t_ns // 10**9)
@@ -53,11 +53,11 @@ class SnapshotTopic:
 
 
 def decode_snapshot(message: bytes) -> Snapshot:
-    """Decode a snapshot.
+    """Decode a message with a snapshot.
 
     Raises:
         struct.error: the message is too short.
-        ValueError: the data end early.
+        ValueError: the snapshot's data end early.
     """
     _, _, k, length = _BODY.unpack_from(message)
     data = message[_BODY.size : _BODY.size + length]

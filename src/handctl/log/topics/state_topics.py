@@ -1,4 +1,4 @@
-"""Topics with one message per tick, of constant layout."""
+"""Topics with one message of constant layout for each tick."""
 
 import tomllib
 
@@ -25,9 +25,9 @@ JOINT_STATES = {
     "/actuator_states": ("motor", "motor_position", "motor_velocity", "motor_torque"),
     "/actuator_commands": ("motor", "", "", "motor_torque_goal"),
 }
-"""Axis of each topic, and telemetry fields for position, velocity, and effort, by topic.
+"""Telemetry axis of each JointState topic, and the telemetry fields for position, velocity and effort, by topic.
 
-If no field is given, the array is empty, as ROS 2 permits.
+If the field for an array is empty, so is the array in the message, as ROS 2 permits.
 """
 
 ESTIMATES = {
@@ -35,10 +35,16 @@ ESTIMATES = {
     "/joint_estimate": ("q", "rad"),
     "/tip_force_estimate": ("tip_force", "N"),
 }
-"""Telemetry field that has a standard deviation, and the unit of the field, by topic."""
+"""Telemetry field, and unit of the field, for each topic with estimates.
+
+Each of these fields has a standard deviation.
+"""
 
 SPOOL_PAIRS = "/spool_pairs"
-"""Topic of the estimated tensions of both tendons of each spool pair, in logs of hands with spool pairs."""
+"""Topic with the estimated tension of both tendons of each spool pair.
+
+Only hands with spool pairs have this topic.
+"""
 
 _NOTES = {
     "/joint_estimate": "joint angles and their variance, large where a digit in contact has fewer tendons than joints",
@@ -49,13 +55,13 @@ _NOTES = {
     "/actuator_states": "at the spool, positive winds",
     SPOOL_PAIRS: "effort: estimated tension of the first tendon, which a positive torque winds, and of the second [N]",
 }
-"""Notes in the channels' metadata."""
+"""Notes for the metadata of the channels, by topic."""
 
 
 def moment_arms(header: RunHeader) -> Numbers:
-    """Return the moment arms R (N, J) [m].
+    """Return the moment arms R (N, J) of the tendons of the hand that a header describes [m].
 
-    A moment arm that depends on the joint angle is replaced by its mean over the joint's range.
+    A moment arm that depends on the joint angle is replaced by the mean over the joint's range.
     """
     return _hand_of(header).moment_arms
 
@@ -66,13 +72,13 @@ def _hand_of(header: RunHeader) -> Hand:
 
 
 def pretensions(header: RunHeader) -> dict[str, float]:
-    """Return the pretension of each spool pair of the hand by name [N]."""
+    """Return the pretension of each spool pair of the hand, by name of the pair [N]."""
     tendons = tomllib.loads(header.hand_toml)["tendon"]
     return {tendon["name"]: tendon["pretension_N"] for tendon in tendons if "pretension_N" in tendon}
 
 
 def joint_state_template(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> Template:
-    """Return the template of a sensor_msgs/JointState."""
+    """Return the template of a sensor_msgs/JointState message."""
     out = TemplateWriter()
     out.header()
     out.texts(names)
@@ -82,7 +88,7 @@ def joint_state_template(names: tuple[str, ...], position: bool, velocity: bool,
 
 
 def wrench_template(frame_id: str) -> Template:
-    """Return the template of a geometry_msgs/WrenchStamped."""
+    """Return the template of a geometry_msgs/WrenchStamped message."""
     out = TemplateWriter()
     out.header(frame_id)
     out.place("force", "<f8", 3)
@@ -100,7 +106,7 @@ def statistics_values(number: int) -> Template:
 
 
 def cycle_stats_template(motors: int) -> Template:
-    """Return the template of a handctl_msgs/CycleStats."""
+    """Return the template of a handctl_msgs/CycleStats message."""
     out = TemplateWriter()
     out.header()
     out.place("cycle", "<f8", 3)
@@ -112,7 +118,7 @@ def cycle_stats_template(motors: int) -> Template:
 
 
 def estimate_template(names: tuple[str, ...], unit: str) -> Template:
-    """Return the template of a handctl_msgs/Estimate."""
+    """Return the template of a handctl_msgs/Estimate message."""
     out = TemplateWriter()
     out.header()
     out.texts(names)
@@ -123,7 +129,7 @@ def estimate_template(names: tuple[str, ...], unit: str) -> Template:
 
 
 def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
-    """Encode the telemetry column names, `field/name`, as pal_statistics_msgs/StatisticsNames."""
+    """Encode the names of the telemetry columns (`field/name`) as pal_statistics_msgs/StatisticsNames."""
     out = CdrWriter()
     out.put("I", seconds)
     out.put("I", nanoseconds)
@@ -137,7 +143,7 @@ class StateTopics:
     """Topics of joints, tendons, actuators, contacts and loop timing."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
-        """Register the topics."""
+        """Register the topics for the hand that a header describes."""
         self._header = header
         self._columns = columns_of_fields(header)
         hand = _hand_of(header)
@@ -185,9 +191,8 @@ class StateTopics:
             blocks.append(self._pairs.block(stamps, {"effort": self._pair_tensions(part["tension"])}))
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
-            # The object pushes against the closing direction +y. `0.0 -` gives 0.0 where a minus
-            # sign
-            # gives -0.0.
+            # The object pushes the tip against its closing direction +y. The expression `0.0 -`
+            # gives 0.0 where a minus sign alone would give -0.0.
             force[:, 1] = 0.0 - part["tip_force"][:, index]
             blocks.append(stream.block(stamps, {"force": force}))
         blocks.append(self._values.block(stamps, {"values": batch.numbers}))
@@ -200,8 +205,8 @@ class StateTopics:
     def _tendon_torque(self, tension: Numbers, q: Numbers) -> Numbers:
         """Return the joint torques R^T f (n, J) from the tensions f at joint angles q [N m].
 
-        The additions are done in a fixed order, because the order within a matrix product may
-        depend on n.
+        The sum is computed in a fixed order. The order of additions in a matrix product may depend
+        on n, and so would the result.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         arms = self._arms if self._polynomials is None else arms_at(self._polynomials, self._limits, q)
@@ -210,7 +215,7 @@ class StateTopics:
         return torque
 
     def _pair_tensions(self, tension: Numbers) -> Numbers:
-        """Return the tensions of both tendons of each spool pair (n, 2 P) [N], see ``estimation.spool_pair``."""
+        """Return the tensions of both tendons of all P spool pairs (n, 2 P) [N], see ``estimation.spool_pair``."""
         names = list(self._header.tendons)
         net = tension[:, [names.index(name) for name in self._pretension]]
         both = np.stack([net, -net], axis=2)
@@ -218,7 +223,7 @@ class StateTopics:
         return np.maximum(np.maximum(taut, both), 0.0).reshape(len(net), -1)
 
     def _joint_state_values(self, topic: str, part: dict[str, Numbers]) -> dict[str, NDArray[np.generic]]:
-        """Return the values of position, velocity, and effort for a topic."""
+        """Return the values of position, velocity and effort for a JointState topic."""
         _, *fields = JOINT_STATES[topic]
         return {
             part_name: part[name]
@@ -233,7 +238,8 @@ class StateTopics:
         before = np.concatenate([[first_start], start[:-1]])
         period = np.where(before < 0, np.nan, (start - before) * 1e-9)
         missed = np.clip(np.diff(batch.k, prepend=first_k) - 1, 0, 2**32 - 1)
-        # The smallest int64 marks a tick without a reply. The time is then NaN.
+        # The smallest int64 marks a tick in which no reply arrived. The time of its last reply
+        # becomes NaN.
         latest = np.full(len(start), np.iinfo(np.int64).min)
         np.maximum.at(latest, batch.received.tick, batch.received.frames["t_ns"])
         received = (latest > np.iinfo(np.int64).min) & (before >= 0)

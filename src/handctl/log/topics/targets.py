@@ -1,4 +1,4 @@
-"""Topic with the streamed targets of clients, in the order of arrival."""
+"""Topic with the targets that clients stream to the hand, in the order of arrival."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,10 @@ from handctl.programs.requests import OpenStream, Target, is_target, parse_reque
 
 
 class TargetTopic:
-    """Topic with one message per streamed target. Malformed targets are only in `/tick`."""
+    """Topic with one message per streamed target.
+
+    Malformed targets appear only in the topic `/tick`.
+    """
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topic."""
@@ -22,7 +25,7 @@ class TargetTopic:
         self._names: dict[str, tuple[str, ...]] = {}
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the messages of a batch."""
+        """Return messages with the streamed targets in a batch of ticks."""
         at = list[int]()
         messages = list[bytes]()
         for index, tick in batch.ticks_with_events.items():
@@ -34,9 +37,9 @@ class TargetTopic:
         return [variable_length_block(self._channel, stamps.at(np.array(at, np.intp)), messages)]
 
     def _targets_among(self, requests: tuple[str, ...]) -> Iterator[Target]:
-        """Yield the targets among requests.
+        """Yield the streamed targets among some requests.
 
-        A request that opens a stream gives the names of its later targets.
+        A request that opens a stream names the values of all later targets of this stream.
         """
         for text in requests:
             if not is_target(text):
@@ -47,7 +50,7 @@ class TargetTopic:
                 yield target
 
     def _target_message(self, log_ns: int, target: Target) -> bytes:
-        """Encode a handctl_msgs/StreamTarget."""
+        """Encode a streamed target as a handctl_msgs/StreamTarget message."""
         names = self._names.get(target.stream, ())
         age_s = (log_ns - self._offset_ns - target.sent_ns) / 1e9
         out = CdrWriter()

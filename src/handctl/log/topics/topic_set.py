@@ -1,4 +1,4 @@
-"""All topics of the log."""
+"""All topics of a log."""
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -20,16 +20,16 @@ from handctl.log.topics.transforms import TfTopics
 
 TICK_TOPIC = "/tick"
 VALUES_TOPIC = "/controller/values"
-"""Topics for the reader: ticks and telemetry.
+"""Names of the two topics that the log reader needs: ticks and telemetry.
 
-All other topics are derived from these two and from the header.
+The messages of nearly all other topics are derived from these two and from the header.
 """
 
 
 class Topics:
-    """Converter from ticks to messages of all topics.
+    """Converter from ticks to the messages of all topics.
 
-    The messages do not depend on the division of the ticks into batches.
+    The messages do not depend on how the ticks are divided into batches.
     """
 
     def __init__(self, header: RunHeader) -> None:
@@ -51,16 +51,16 @@ class Topics:
 
     @property
     def schemas(self) -> list[Schema]:
-        """Return all schemas."""
+        """Return the schemas of all topics."""
         return list(self._registry.schemas.values())
 
     @property
     def channels(self) -> list[Channel]:
-        """Return all channels."""
+        """Return the channels of all topics."""
         return list(self._registry.channels.values())
 
     def latched(self) -> list[MessageBlock]:
-        """Return the messages written once, at t = 0."""
+        """Return the messages that are written once, at t = 0 of the run."""
         stamps = Stamps(np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32))
         names = names_message(self._header, *divmod(self._header.offset_ns, 10**9))
         blocks = [
@@ -81,18 +81,18 @@ class Topics:
         return self._chain.last
 
     def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> MessageBlock:
-        """Return a message with a reading of both clocks.
+        """Return a message with a reading of wall clock and monotonic clock.
 
         Args:
             t_ns: time of the tick since the start of the run [ns].
             k: number of the tick.
-            wall_ns: wall clock [ns].
-            monotonic_ns: monotonic clock [ns].
+            wall_ns: reading of the wall clock [ns].
+            monotonic_ns: reading of the monotonic clock [ns].
         """
         return self._clocks.block(stamps_at(self._log_ns(t_ns), k), wall_ns, monotonic_ns)
 
     def snapshot(self, t_ns: int, snapshot: Snapshot) -> MessageBlock:
-        """Return a message with the state after the tick at `t_ns`."""
+        """Return a message with the controller's state after the tick at time `t_ns`."""
         return self._snapshots.block(self._log_ns(t_ns), snapshot)
 
     def _log_ns(self, t_ns: int) -> int:
@@ -100,14 +100,15 @@ class Topics:
         return max(t_ns + self._header.offset_ns, 0)
 
     def blocks(self, batch: Batch) -> list[MessageBlock]:
-        """Return the messages of a batch."""
+        """Return the messages of all topics for a batch of ticks."""
         log = np.maximum(batch.t_ns + self._header.offset_ns, 0).astype(np.uint64)
         stamps = Stamps(log, (batch.k & 0xFFFF_FFFF).astype(np.uint32))
         blocks = [
             variable_length_block(self._tick, stamps, batch.messages),
             *self._chain.blocks(batch, stamps),
         ]
-        # Numbers of a failing controller may overflow. The log keeps them as they are.
+        # The numbers of a failing controller may overflow in these calculations. The log keeps the
+        # results as they are.
         with np.errstate(all="ignore"):
             for part in self._parts:
                 blocks += part.blocks(batch, stamps)

@@ -1,4 +1,7 @@
-"""Topics with the transforms of the links, so that a viewer needs no kinematics of the hand."""
+"""Topics with the transforms between the links of the hand.
+
+So a viewer need not know the hand's kinematics.
+"""
 
 import math
 import tomllib
@@ -14,22 +17,22 @@ from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import Registry, Stamps, Stream
 
 TRANSFORM_PERIOD_NS = 20_000_000
-"""Interval between transforms [ns]. 50 Hz is enough for a viewer."""
+"""Interval between messages with transforms [ns]. 50 Hz is enough for a viewer."""
 ROOT = "palm"
-"""Name of the root frame."""
+"""Name of the frame that is the root of all link frames."""
 Z_AXIS = (0.0, 0.0, 1.0)
-"""Default axis of a hinge without ``joint_axis``."""
+"""Axis of a hinge for which the hand file gives no ``joint_axis``."""
 
 
 class LinkFrame(NamedTuple):
-    """Frame of a link, relative to its parent.
+    """Frame of a link, relative to the parent link.
 
     Attributes:
-        parent, child: names of the frames.
+        parent, child: names of the parent's frame and of the link's own frame.
         position: (3,) origin of the child in the parent [m].
-        rotation: (4,) quaternion x, y, z, w of the child when its joint is at zero.
+        rotation: (4,) quaternion x, y, z, w of the child at joint angle zero.
         axis: (3,) joint axis as a unit vector in the child frame.
-        joint: index of the joint, -1 if the link is fixed.
+        joint: index of the joint that moves the link, -1 if the link is fixed to the parent.
     """
 
     parent: str
@@ -52,7 +55,10 @@ def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> tuple[float, ...
 
 
 def link_frames(hand_toml: str) -> list[LinkFrame]:
-    """Return the frames of a hand: palm, `<digit>_link<i>`, `<digit>_tip`."""
+    """Return the link frames of a hand.
+
+    Their names are `palm`, `<digit>_link<i>` and `<digit>_tip`.
+    """
     frames = []
     tips: dict[str, str] = {}
     joint = 0
@@ -92,7 +98,7 @@ def multiply_quaternions(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple
 
 
 def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the quaternions x, y, z, w (n, 4) of a link at joint angles (n,) [rad]."""
+    """Return the rotation of a link at joint angles (n,) [rad] as quaternions x, y, z, w (n, 4)."""
     sine = np.sin(q / 2)
     turn = (*(component * sine for component in link.axis), np.cos(q / 2))
     return np.stack(multiply_quaternions(link.rotation, turn), axis=1)
@@ -111,7 +117,10 @@ def _stream(channel: int, some: list[LinkFrame]) -> Stream:
 
 
 class TfTopics:
-    """Topics /tf_static, written once, and /tf at 50 Hz. An unknown joint angle gives NaN."""
+    """Topics /tf_static, written once, and /tf, written at 50 Hz.
+
+    An unknown joint angle gives a rotation of NaN.
+    """
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
@@ -123,7 +132,7 @@ class TfTopics:
         self._last = -1
 
     def latched(self, stamps: Stamps) -> MessageBlock:
-        """Return the message of /tf_static."""
+        """Return the single message of /tf_static."""
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._fixed):
             values[f"position{index}"] = np.array([link.position])

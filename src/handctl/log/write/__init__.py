@@ -1,1 +1,1 @@
-"""Writing of logs: the controller's end of the pipe, and the recorder process that writes the file."""
+"""Writing of logs: the recorder process that writes the file, and the controller's end of the pipe to the recorder."""

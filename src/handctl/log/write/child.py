@@ -1,8 +1,8 @@
-"""Start of the recorder process, also before the run to be recorded is known.
+"""Start of the recorder process. The process can start before the run to be recorded is known.
 
-The recorder process needs half a second for its imports. A verb that records starts this process
-before the verb's own imports (`process_ahead`), so that both import at the same time on two cores.
-This module therefore imports little.
+The recorder process needs half a second for imports. A command with a recording starts the recorder
+process before importing other modules (`process_ahead`). Then both processes import at the same
+time on two cores. This module therefore imports only a few modules.
 """
 
 import os
@@ -14,18 +14,18 @@ from typing import NamedTuple
 
 
 class RecorderProcess(NamedTuple):
-    """Recorder process that has no file yet.
+    """Recorder process that does not have a log file yet.
 
     Attributes:
-        child: the process. Its stdout is a pipe with notes.
-        pipe: file descriptor for the records.
+        child: the process. The stdout of the process is a pipe with notes to the controller.
+        pipe: file descriptor of the pipe into which the controller writes records.
     """
 
     child: "subprocess.Popen[bytes]"
     pipe: int
 
     def end(self) -> None:
-        """End the process at once, and close the pipes."""
+        """End the recorder process at once, and close both pipes."""
         os.close(self.pipe)
         self.child.kill()
         self.child.wait()
@@ -34,13 +34,16 @@ class RecorderProcess(NamedTuple):
 
 
 _ahead: list[RecorderProcess] = []
-"""Recorder process that `process_ahead` has started and no recorder has taken yet."""
+"""Recorder process that `process_ahead` has started and that no recorder has taken yet.
+
+The list is empty without one.
+"""
 
 
 def start_process() -> RecorderProcess:
-    """Start a recorder process. The process ends when the pipe is closed."""
+    """Start a recorder process. The process ends when the pipe for the records is closed."""
     reading, writing = os.pipe()
-    # `-P` keeps the working directory out of the import path.
+    # The option `-P` keeps the working directory out of Python's import path.
     command = [sys.executable, "-P", "-m", "handctl.log.write.process"]
     try:
         child = subprocess.Popen(command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True)
@@ -56,7 +59,7 @@ def start_process() -> RecorderProcess:
 def process_ahead() -> Iterator[None]:
     """Start a recorder process for the first recorder in this block.
 
-    If no recorder takes the process, it is ended at the end of the block.
+    A process that no recorder has taken is ended at the end of the block.
     """
     _ahead.append(start_process())
     try:
@@ -67,5 +70,8 @@ def process_ahead() -> Iterator[None]:
 
 
 def take_process() -> RecorderProcess:
-    """Return the process that `process_ahead` has started, or start a process."""
+    """Return the recorder process that `process_ahead` has started.
+
+    If there is none, start a recorder process.
+    """
     return _ahead.pop() if _ahead else start_process()

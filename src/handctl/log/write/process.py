@@ -1,11 +1,11 @@
-"""Recorder process. Reads records from stdin and writes notes as JSON lines to stdout.
+"""Recorder process: reads records from stdin, writes the log file, and writes notes as JSON lines to stdout.
 
-The process ends when its input ends.
+The recorder process ends when stdin ends.
 
-Command: `python -m handctl.log.write.process`. The first record names the file.
+Command: `python -m handctl.log.write.process`. The first record names the log file.
 
-The recorder ignores SIGINT and SIGTERM because the controller decides the end of a run. If the
-controller dies, the pipe is closed.
+The recorder ignores SIGINT and SIGTERM, because the controller decides when a run ends. If the
+controller dies, the system closes the pipe, and the recorder ends.
 """
 
 import json
@@ -24,54 +24,55 @@ from handctl.log.write.syncer import Syncer
 from handctl.log.write.writer import LogWriter
 
 READ_BYTES = 1 << 20
-"""Largest size of one read [bytes]."""
+"""Largest size of one read from the pipe [bytes]."""
 PAUSE_S = 0.01
-"""Pause after a read of few bytes [s].
+"""Pause after a read that returned few bytes [s].
 
-After the pause one read gets the records of several ticks. The pipe stays far from full.
+After the pause, one read gets the records of several ticks. The pipe is still far from full then.
 """
 PAUSE_BELOW_BYTES = 64 << 10
-"""Reads below this size are followed by a pause [bytes]."""
+"""Size of a read below which a pause follows [bytes]."""
 MAX_UNWRITTEN_S = 0.15
-"""Longest time before a tick is written to the file, in real time [s].
+"""Longest time from the arrival of a tick until the tick is in the file, in real time [s].
 
-Including the pause, the write, and a busy machine, a killed recorder loses less than 0.25 s.
+With the pause, the write and the delays of a busy machine, a recorder that is killed loses less
+than 0.25 s of ticks.
 """
 SYNC_PERIOD_S = 1.0
-"""Interval between syncs of the file to disk [s]."""
+"""Interval between requests to sync the file to disk [s]."""
 NICE = -10
-"""Scheduling priority (nice value) of the recorder, above other programs if the system permits it.
+"""Nice value of the recorder process, for a higher priority than other programs if the system permits it.
 
-The control loop has real-time priority, and precedes the recorder.
+The control loop has real-time priority, which is higher still.
 """
 
 
 def send_note(note: dict[str, object]) -> None:
     """Send a note to the controller.
 
-    If the pipe is full, the note is lost, because the recorder must not wait.
+    If the pipe for notes is full, the note is lost, because the recorder must not wait.
     """
     with suppress(BlockingIOError, BrokenPipeError):
         os.write(1, json.dumps(note).encode() + b"\n")
 
 
 def report_event(event: str, number: int) -> None:
-    """Send an event of the writer as a note."""
+    """Send an event of the log writer to the controller as a note."""
     send_note({"event": event, "number": number})
 
 
 class Splitter:
-    """Splitter of a byte stream into records.
+    """Splitter that divides a byte stream into records.
 
-    An incomplete record is kept until its rest arrives.
+    The splitter keeps an incomplete record until the rest of the record arrives.
     """
 
     def __init__(self) -> None:
-        """Start at the boundary of a record."""
+        """Start with an empty rest. The stream must begin at the start of a record."""
         self._rest = b""
 
     def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Yield (kind, body) of each complete record."""
+        """Add bytes of the stream, and yield kind and body of each record that is complete now."""
         data = self._rest + data
         at = 0
         while at + FRAMING.size <= len(data):
@@ -92,7 +93,7 @@ class RecorderSession:
     """
 
     def __init__(self) -> None:
-        """Start without a file."""
+        """Start without a log file. The first records name and open the file."""
         self.path = Path()
         self._floor = 0
         self._splitter = Splitter()
@@ -103,7 +104,7 @@ class RecorderSession:
         self._facts: dict[str, str] = {}
 
     def run(self) -> None:
-        """Read until the input ends, then close the file."""
+        """Process records until stdin ends, then close the log file."""
         clean = next_sync = time.monotonic()
         while True:
             if select.select([0], [], [], MAX_UNWRITTEN_S)[0]:
@@ -117,8 +118,8 @@ class RecorderSession:
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
                 self._writer.flush()
-            # `clean` is the last time at which no tick waited, so that MAX_UNWRITTEN_S counts from
-            # the oldest waiting tick.
+            # `clean` is the last time at which no tick was waiting to be written. So
+            # MAX_UNWRITTEN_S counts from the oldest waiting tick.
             if not (self._writer and self._writer.pending):
                 clean = now
             if self._writer and now >= next_sync:
@@ -128,7 +129,7 @@ class RecorderSession:
             send_note({"summary": self._writer.finish(self._reason, self._dropped, self._facts)})
 
     def _take_record(self, kind: int, body: bytes) -> None:
-        """Process one record."""
+        """Process one record from the controller."""
         if kind == TICK and self._writer:
             self._writer.add(body)
         elif kind == SNAPSHOT and self._writer:
@@ -150,10 +151,13 @@ class RecorderSession:
 
 
 def main() -> int:
-    """Run the recorder. Return 1 if the file cannot be created."""
+    """Run the recorder process, and return the exit code.
+
+    The code is 1 if the log file cannot be created.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    # Notes must never block the recorder.
+    # Writing a note must never make the recorder wait.
     os.set_blocking(1, False)
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, NICE)

@@ -1,4 +1,7 @@
-"""The controller's end of the pipe to the recorder process. Sending a record does not wait."""
+"""The controller's end of the pipe to the recorder process.
+
+The controller sends a record without waiting.
+"""
 
 import fcntl
 import json
@@ -20,26 +23,26 @@ from handctl.log.record import END, FILE, HEADER, record_bytes
 from handctl.log.write.child import RecorderProcess, take_process
 
 PIPE_BYTES = (8 << 20, 1 << 20)
-"""Sizes to request for the pipe, in order of preference [bytes].
+"""Sizes to request for the pipe to the recorder, in order of preference [bytes].
 
-The second size is permitted without privileges on Linux. More than 250 ticks of the largest hand
-fit into a pipe of this size.
+Linux grants the second size without privileges. A pipe of this size holds more than 250 ticks of
+the largest hand.
 """
 FLOOR_BYTES = 64 << 20
-"""Free disk space at which a log is finished early [bytes].
+"""Free disk space below which a log is finished early [bytes].
 
-Below four times this value a warning is given.
+Below four times this value, the recorder gives a warning.
 """
 START_TIMEOUT_S = 60.0
 """Longest wait for the recorder at the start of a run [s]."""
 CLOSE_TIMEOUT_S = 20.0
 """Longest wait for the recorder at the end of a run [s]."""
 LOCKSTEP_TIMEOUT_S = 60.0
-"""Longest wait for the recorder per record in a lockstep run [s]."""
+"""Longest wait for the recorder to accept one record of a lockstep run [s]."""
 
 
 def _enlarge_pipe(descriptor: int) -> int:
-    """Request a larger pipe and return its size [bytes]."""
+    """Request a larger size for a pipe, and return the size that the pipe has now [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
             return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
@@ -47,10 +50,11 @@ def _enlarge_pipe(descriptor: int) -> int:
 
 
 class Recorder:
-    """Connection to a running recorder process, see `start`.
+    """Connection of the controller to a running recorder process, see `start`.
 
     Attributes:
-        dropped: number of records lost because the pipe was full or the recorder had ended.
+        dropped: number of records that were lost because the pipe was full or the recorder process
+            had ended.
     """
 
     def __init__(self, path: Path, process: RecorderProcess, lossless: bool) -> None:
@@ -58,8 +62,8 @@ class Recorder:
 
         Args:
             path: path of the log file.
-            process: recorder process.
-            lossless: True to wait for the recorder instead of dropping records.
+            process: recorder process to use.
+            lossless: True to wait while the pipe is full, instead of dropping records.
         """
         assert process.child.stdout is not None
         self._path = path
@@ -79,15 +83,17 @@ class Recorder:
 
     @classmethod
     def start(cls, path: Path, header: RunHeader, floor_bytes: int = FLOOR_BYTES) -> Self:
-        """Start a recorder process or take the one started ahead, and wait until the header is in the file.
+        """Start recording, in a recorder process started ahead or in a new process.
+
+        Wait until the header is in the log file.
 
         Args:
             path: path of the new log file.
             header: header of the run.
-            floor_bytes: free space at which the log is finished early [bytes].
+            floor_bytes: free disk space below which the log is finished early [bytes].
 
         Raises:
-            LogError: the file cannot be created, or the process does not answer.
+            LogError: the log file cannot be created, or the recorder process does not answer.
         """
         recorder = cls(path, take_process(), header.deterministic)
         file = json.dumps({"path": str(path), "floor_bytes": floor_bytes}).encode()
@@ -95,7 +101,7 @@ class Recorder:
         return recorder
 
     def _send_header(self, header: bytes) -> None:
-        """Send the header, and wait for the recorder's answer."""
+        """Send the header of the run to the recorder process, and wait for the answer."""
         os.set_blocking(self._pipe, False)
         try:
             if not self._send(header, START_TIMEOUT_S):
@@ -118,7 +124,7 @@ class Recorder:
         self._process.end()
 
     def _close_notes(self) -> None:
-        """Close the pipe for the notes."""
+        """Close the pipe for the recorder's notes."""
         assert self._child.stdout is not None
         self._child.stdout.close()
 
@@ -126,8 +132,8 @@ class Recorder:
         """Write all bytes to the pipe, and wait at most `timeout_s` [s].
 
         Returns:
-            True if all bytes were written. After False no further record may be sent, because this
-            record is incomplete.
+            True if all bytes were written. After False, no further record may be sent, because the
+            record in the pipe is incomplete.
         """
         end = time.monotonic() + timeout_s
         view = memoryview(data)
@@ -144,10 +150,10 @@ class Recorder:
         return True
 
     def record(self, data: bytes) -> bool:
-        """Send one record without waiting. A deterministic run waits instead.
+        """Send one record. A real-time run does not wait for a full pipe. A deterministic run waits.
 
         Args:
-            data: record from `record.pack_tick_record`.
+            data: encoded record, such as `record.pack_tick_record` returns.
 
         Returns:
             False if the record was dropped.
@@ -160,8 +166,8 @@ class Recorder:
             self.dropped += self._ended
             return not self._ended
         try:
-            # A record that was written in part must be completed first, or the stream loses its
-            # boundaries.
+            # If the last record was written only in part, its rest must be written first. Otherwise
+            # the recorder could not find where the next record starts.
             if self._rest:
                 self._rest = self._rest[os.write(self._pipe, self._rest) :]
             if not self._rest:
@@ -175,16 +181,17 @@ class Recorder:
         return False
 
     def events(self) -> tuple[IoEvent, ...]:
-        """Return the events of the recorder since the last call, of kind "recorder".
+        """Return the events of the recorder since the last call. Their kind is "recorder".
 
         `where` is one of:
             dropped: records were dropped. Value: their number.
-            gone: the recorder has ended.
-            filling: the pipe is more than half full. Value: number of bytes in the pipe.
-            disk_low: the disk is nearly full. Value: number of free bytes.
-            disk_full: the log was finished early. Value: number of free bytes, or errno.
-            error: a write has failed. Value: errno.
-            misshapen: telemetry does not have the shape described in the header.
+            gone: the recorder process has ended.
+            filling: the pipe to the recorder has become more than half full. Value: bytes in it.
+            disk_low: little disk space is left. Value: number of free bytes.
+            disk_full: the log was finished early, because the disk is full. Value: number of free
+                bytes, or errno.
+            error: a write to the log file has failed. Value: errno.
+            misshapen: the telemetry of a tick does not have the shape that the header describes.
         """
         events = []
         if not self._ended:
@@ -204,21 +211,21 @@ class Recorder:
         return tuple(events)
 
     def _filling_event(self) -> list[IoEvent]:
-        """Return an event whenever the pipe becomes more than half full.
+        """Return an event if the pipe has become more than half full since the last call.
 
-        A deterministic run waits while the pipe is full. No event is reported, because filling
-        depends on the machine.
+        A deterministic run never gets this event. Such a run waits while the pipe is full, and the
+        filling depends on the machine.
         """
         if self._lossless:
             return []
-        # FIONREAD: bytes in the pipe that the recorder has not read.
+        # FIONREAD gives the number of bytes in the pipe that the recorder has not read.
         waiting = struct.unpack("i", fcntl.ioctl(self._pipe, termios.FIONREAD, b"\0\0\0\0"))[0]
         was = self._filling
         self._filling = waiting > self._size // 2
         return [IoEvent("recorder", "filling", waiting)] if self._filling and not was else []
 
     def _read_notes(self, timeout_s: float) -> None:
-        """Read the notes from the recorder process.
+        """Read all notes that the recorder process has sent.
 
         Args:
             timeout_s: longest wait for the first note [s].
@@ -237,15 +244,15 @@ class Recorder:
             self._messages += [json.loads(line) for line in lines]
 
     def close(self, reason: str, facts: Mapping[str, str] | None = None) -> dict[str, object]:
-        """End the run, and wait until the file is complete.
+        """End the recording of the run, and wait until the log file is complete.
 
         Args:
-            reason: reason of the end, for the log.
-            facts: facts that are known only at the end of the run, for the log.
+            reason: reason for the end of the run, for the log.
+            facts: facts for the log that are known only at the end of the run, by name.
 
         Returns:
-            summary with path, bytes, complete, dropped, and if the recorder has finished, ticks,
-            messages, lost, reason.
+            summary with path, bytes, complete and dropped. If the recorder has finished, the
+            summary also has ticks, messages, lost and reason.
         """
         body = json.dumps({"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}).encode()
         if not self._ended and self._send(self._rest, CLOSE_TIMEOUT_S):

@@ -1,9 +1,10 @@
-"""Sync of a file to disk without waiting.
+"""Sync of a file to disk, during which the caller does not wait.
 
-Under load, a sync takes longer than the pipe can buffer records.
+On a busy machine, a sync takes longer than the time for which the pipe to the recorder can buffer
+records.
 
-A process forked from the recorder calls fdatasync. This process has only the file open, and ends
-with the recorder.
+Therefore a process forked from the recorder calls fdatasync. The forked process keeps only the log
+file and two pipes open, and ends with the recorder.
 """
 
 import itertools
@@ -11,13 +12,13 @@ import os
 from contextlib import suppress
 
 _READ_BYTES = 1 << 10
-"""Largest number of waiting requests read at once. Each request is one byte."""
+"""Largest number of waiting sync requests that are read at once. Each request is one byte."""
 _MAX_DESCRIPTORS = 1 << 16
-"""Upper limit of the file descriptors to close."""
+"""Number below which all file descriptors to close lie."""
 
 
 def sync_now(descriptor: int) -> None:
-    """Sync a file to disk, and wait until this is done.
+    """Sync a file to disk, and wait until the sync is done.
 
     Raises:
         OSError: the sync failed.
@@ -26,7 +27,10 @@ def sync_now(descriptor: int) -> None:
 
 
 class Syncer:
-    """Function object that starts a sync of a file to disk. An error is raised at a later call."""
+    """Callable that starts a sync of a file to disk.
+
+    If the sync fails, a later call raises the error.
+    """
 
     def __init__(self) -> None:
         """Start without a sync process."""
@@ -35,7 +39,7 @@ class Syncer:
     def __call__(self, descriptor: int) -> None:
         """Request a sync of the file to disk.
 
-        All requests during a sync are served by one further sync.
+        All requests that arrive during a sync are served together by the next sync.
 
         Raises:
             OSError: an earlier sync failed.
@@ -50,7 +54,7 @@ class Syncer:
             os.write(self._request_pipe, b"\0")
 
     def _start(self, descriptor: int) -> None:
-        """Fork the process that syncs the file."""
+        """Fork the process that syncs the file on request."""
         requests, self._request_pipe = os.pipe()
         self._error_pipe, errors = os.pipe()
         if os.fork() == 0:
@@ -66,10 +70,10 @@ class Syncer:
 
 
 def _close_all_but(*descriptors: int) -> None:
-    """Close all other file descriptors in the forked process.
+    """Close all file descriptors of the forked process except the given ones.
 
-    With these descriptors open, the controller would not notice a dead recorder, and the disk space
-    reserved by the recorder could not be freed.
+    With other descriptors open in this process, the controller would not notice the death of the
+    recorder. The disk space that the recorder reserves could not be freed either.
     """
     edges = [-1, *sorted(descriptors), _MAX_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):
@@ -77,7 +81,7 @@ def _close_all_but(*descriptors: int) -> None:
 
 
 def _serve(descriptor: int, requests: int, errors: int) -> None:
-    """Serve sync requests until the other end of the pipe is closed.
+    """Serve sync requests until the recorder's end of the request pipe is closed.
 
     One sync to disk serves all waiting requests.
     """

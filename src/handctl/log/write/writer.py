@@ -1,4 +1,4 @@
-"""Writer of the log file of a run. Handles a full disk and failed writes."""
+"""Writer of the log file of a run. The log stays readable if the disk is full or a write fails."""
 
 import errno
 import json
@@ -19,13 +19,16 @@ from handctl.log.topics.topic_set import Topics
 from handctl.log.write.syncer import sync_now
 
 CHUNK_SPAN_NS = 250_000_000
-"""Longest time span of a chunk [ns]. A killed recorder loses at most this time."""
+"""Longest time span of a chunk [ns].
+
+A recorder that is killed loses at most the ticks of this time.
+"""
 CHUNK_BYTES = 1 << 20
-"""Total size of collected records at which a chunk is written [bytes]."""
+"""Total size of collected tick records above which a chunk is written [bytes]."""
 RESERVED_BYTES = 512 << 10
-"""Disk space reserved for the summary and footer of a file on a full disk [bytes]."""
+"""Disk space that is reserved for the summary and footer of a log, in case the disk becomes full [bytes]."""
 SCHEMA = 1
-"""Version of topics and records in the log. A reader refuses logs of other versions."""
+"""Version of the topics and records of a log. The reader refuses logs of other versions."""
 
 _MEDIA = {
     ".toml": "application/toml",
@@ -47,22 +50,22 @@ def _both_clocks() -> tuple[int, int]:
 
 
 def _create_file(path: Path) -> int:
-    """Create a new file, and return its descriptor."""
+    """Create a new file, and return the file descriptor."""
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
 
 
 class _ReservedSpace:
-    """Disk space reserved for the end of a log, in a file without a name.
+    """Disk space that is reserved for the end of a log. A file without a name occupies this space.
 
-    If the process is killed, the file disappears.
+    If the recorder is killed, this file disappears.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Reserve the space. If this fails, the log is written without reserved space."""
+        """Reserve the disk space. If this fails, the log is written without reserved space."""
         self._fd = -1
         with suppress(OSError):
             self._fd, name = tempfile.mkstemp(dir=folder)
-            # The space stays reserved as long as the descriptor is open.
+            # The space stays reserved as long as the file descriptor is open.
             os.unlink(name)
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(self._fd, 0, RESERVED_BYTES)
@@ -77,13 +80,14 @@ class _ReservedSpace:
 
 
 class LogWriter:
-    """Writer of one run into one file.
+    """Writer of the log file of a run.
 
-    After the first failed write the file is closed, and further ticks are only counted.
+    After the first failed write, the writer closes the file, and only counts further ticks.
 
     Attributes:
         ticks: number of ticks written or waiting for the next chunk.
-        lost: number of ticks lost by a failed write, or received after the file was closed.
+        lost: number of ticks that a failed write has lost, or that arrived after the file was
+            closed.
         closed: True if the file is closed.
     """
 
@@ -96,20 +100,21 @@ class LogWriter:
         clocks: Clocks = _both_clocks,
         to_disk: Callable[[int], None] = sync_now,
     ) -> None:
-        """Create the file and write its header.
+        """Create the file, and write the header.
 
         Args:
             path: path of the new file.
             header: header of the run.
-            report: function to call with disk_low, disk_full, error or misshapen, and a number
-                (free bytes, errno, 1).
-            floor_bytes: free space at which the file is finished early [bytes].
-            clocks: function that reads wall and monotonic clock [ns]. Not used in a deterministic
-                run.
-            to_disk: function that syncs the file of a descriptor to disk.
+            report: function that is called for each event. The arguments are disk_low, disk_full,
+                error or misshapen, and a number: free bytes, errno, or 1.
+            floor_bytes: free disk space below which the file is finished early [bytes].
+            clocks: function that reads wall and monotonic clock [ns]. A deterministic run does not
+                call this function.
+            to_disk: function that syncs the file of a given file descriptor to disk.
 
         Raises:
-            OSError: the file cannot be created. Later failures go to `report`.
+            OSError: the file cannot be created. Later failures raise no error but are passed to
+                `report`.
         """
         self._clocks = clocks
         self._next_pair_ns = 0
@@ -132,7 +137,7 @@ class LogWriter:
         self._write_header_records()
 
     def _write_header_records(self) -> None:
-        """Write attachments, metadata, schemas, and channels."""
+        """Write the records that precede the ticks: attachments, metadata, schemas and channels."""
         header = self._header
         container = self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
@@ -154,11 +159,11 @@ class LogWriter:
 
     @property
     def pending(self) -> bool:
-        """Return True while ticks wait for the next chunk."""
+        """Return True if ticks wait for the next chunk."""
         return len(self._batcher) > 0
 
     def add(self, body: bytes) -> None:
-        """Add a tick, given as the body of its record."""
+        """Add a tick, given as the body of a record, to the next chunk."""
         if self.closed:
             self.lost += 1
             return
@@ -172,7 +177,7 @@ class LogWriter:
             self.flush()
 
     def add_snapshot(self, body: bytes) -> None:
-        """Add a snapshot, given as the body of its record.
+        """Add a snapshot of the controller's state, given as the body of a record.
 
         The snapshot is written with the next chunk.
         """
@@ -181,9 +186,10 @@ class LogWriter:
             self._snapshots.append(self._topics.snapshot(t_ns, Snapshot(k, body[SNAPSHOT_HEAD.size :])))
 
     def _ends_chunk(self, t_ns: int, begins: bool) -> bool:
-        """Return True if the chunk must end with this tick.
+        """Return True if the current chunk must end with this tick.
 
-        In a deterministic run chunks end on a fixed time grid, otherwise after CHUNK_SPAN_NS.
+        In a deterministic run, chunks end on a fixed time grid. In other runs, a chunk ends after
+        CHUNK_SPAN_NS.
         """
         if self._header.deterministic:
             before = self._mark
@@ -198,7 +204,7 @@ class LogWriter:
         if self.closed or not self.pending:
             return
         batch = self._batcher.take()
-        # Missed ticks are holes in the tick numbers, also between two chunks.
+        # Each missing tick number, also between two chunks, counts as a missed tick.
         first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
@@ -212,14 +218,14 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """Return a message with both clocks, at most every PAIR_PERIOD_NS."""
+        """Return a message with the readings of both clocks if PAIR_PERIOD_NS has passed since the last one."""
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
         self._next_pair_ns = t_ns + PAIR_PERIOD_NS
         return [self._topics.clock_pair(t_ns, self._last_k, *self._clocks())]
 
     def sync(self) -> None:
-        """Request a sync to disk, and check the free space."""
+        """Request a sync of the file to disk, and check the free disk space."""
         if self.closed:
             return
         try:
@@ -236,7 +242,7 @@ class LogWriter:
             self._report("disk_low", free)
 
     def _stop_early(self, free: int) -> None:
-        """Close the file because the disk is nearly full."""
+        """Finish the log early because the disk is nearly full."""
         self.flush()
         if not self.closed:
             self._report("disk_full", free)
@@ -252,9 +258,9 @@ class LogWriter:
             self._write_end(f"write failed: {error.strerror}", 0)
 
     def _write_end(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> None:
-        """Write the end of the file.
+        """Write the end of the log file: the end record, the summary and the footer.
 
-        If this fails, the file is truncated after its last complete record.
+        If writing fails, the file is cut after the last complete record.
         """
         self.closed = True
         self._reserved.release()
@@ -280,11 +286,11 @@ class LogWriter:
             os.fsync(self._fd)
 
     def finish(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> dict[str, object]:
-        """Close the file and return a summary.
+        """Close the log file, and return a summary of the recording.
 
         Args:
-            reason: reason of the end.
-            dropped: number of ticks that the recorder did not accept.
+            reason: reason for the end of the run.
+            dropped: number of records that the controller could not send to the recorder.
             facts: facts that are known only at the end of the run, by name.
         """
         self.flush()

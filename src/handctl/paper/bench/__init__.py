@@ -1,1 +1,1 @@
-"""The paper's experiments, measured on the simulated hand."""
+"""Experiments of the paper, carried out with the simulated hand."""

@@ -1,4 +1,4 @@
-"""Simulated bench: the real controller over the simulated bus, in lockstep."""
+"""Simulated test bench: runs of the real controller over a simulated bus, in lockstep."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -21,13 +21,13 @@ RATE_HZ = 500.0
 
 @dataclass
 class BenchRecording:
-    """Measurements and decisions of the controller, tick by tick.
+    """Measurements of a run on the bench and phases of its task, tick by tick.
 
     Attributes:
         t_ns: time of each tick [ns].
-        phase: phase of each tick.
-        tension: (ticks, N) load cells [N].
-        travel: (ticks, N) motor encoders [rad].
+        phase: phase of the task at each tick.
+        tension: (ticks, N) readings of the load cells [N].
+        travel: (ticks, N) readings of the motor encoders [rad].
     """
 
     t_ns: list[int] = field(default_factory=list)
@@ -50,17 +50,17 @@ class BenchRecording:
 def run_bench_task(
     hand_file: str, scene: str | None, task: Task, truth: Path | None = None, seed: int = 0
 ) -> BenchRecording:
-    """Run a task on the simulator with a homed hand.
+    """Run a task on the simulator, with a homed hand that needs no tare.
 
     Args:
         hand_file: name of a packaged hand, or path of a hand file.
         scene: scene of the simulator.
         task: task of the controller.
-        truth: path of the file for the simulator's ground truth.
-        seed: seed of the noise.
+        truth: file to which the simulator writes the ground truth, or None.
+        seed: seed of the simulated noise.
 
     Raises:
-        DriveError: The run ended early, by the controller or by the safety monitor.
+        DriveError: The controller or the safety monitor ended the run early.
     """
     model = _hand_model(hand_file)
     recording = BenchRecording()
@@ -73,5 +73,8 @@ def run_bench_task(
 
 @cache
 def _hand_model(hand_file: str) -> HandModel:
-    """Return the model of a hand. The gains are designed only once, which takes about a second."""
+    """Return the model of a hand with designed gains.
+
+    The result is cached, because a design takes about a second.
+    """
     return HandModel.of(load_hand(hand_file), Gains(), RATE_HZ)

@@ -1,6 +1,6 @@
-"""Experiments of the paper as jobs.
+"""Experiments of the paper as jobs for worker processes.
 
-Input and output are plain values, so that another process can run a job.
+A job and its result are plain values. Therefore another process can run a job.
 """
 
 import json
@@ -14,11 +14,11 @@ from handctl.paper.bench import force_displacement, payload
 Job = Mapping[str, Any]
 Result = Mapping[str, Any]
 Workers = Callable[[Sequence[Job]], list[Result]]
-"""Function that runs jobs, possibly several at a time, and returns results in the order of the jobs."""
+"""Function that runs jobs, possibly several at a time, and returns their results in the order of the jobs."""
 
 
 def run_job(job: Job, folder: Path) -> Result:
-    """Run a job.
+    """Run the experiment of a job, and return its result.
 
     Args:
         job: name of the experiment under `do`, and its arguments, see `run_experiments`.
@@ -35,7 +35,7 @@ def run_job(job: Job, folder: Path) -> Result:
 
 
 def job_description(job: Job) -> str:
-    """Return the description of a job for progress reports."""
+    """Return a description of a job for progress reports."""
     match job["do"]:
         case "pull":
             return "pulling a blocked finger to 242 N"
@@ -45,7 +45,7 @@ def job_description(job: Job) -> str:
 
 
 def job_count() -> int:
-    """Return the number of experiment jobs."""
+    """Return the number of jobs of all experiments."""
     return 1 + len(payload.DIAMETERS_MM) * (1 + len(payload.AXES))
 
 
@@ -53,11 +53,11 @@ def run_experiments(workers: Workers) -> dict[str, Any]:
     """Run all experiments, and return the results.
 
     Returns:
-        `force_displacement` (see that module), and `payload` with one result for each diameter and
-        axis.
+        A table with the results of `force_displacement.measure_tendons` under `force_displacement`,
+        and a list under `payload` with one result for each diameter and axis.
     """
     searches = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
-    # The searches come first, because the loads need their tensions.
+    # The search jobs come first, because the load jobs need the tensions that they find.
     pulled, *grips = workers([{"do": "pull"}, *searches])
     loads = [
         {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}
@@ -68,11 +68,11 @@ def run_experiments(workers: Workers) -> dict[str, Any]:
 
 
 DIGITS = 6
-"""Number of significant digits of results in a file."""
+"""Number of significant digits of the results in a file."""
 
 
 def rounded_results(results: Any) -> Any:
-    """Return results with every float rounded to `DIGITS` digits."""
+    """Return results in which every float is rounded to `DIGITS` significant digits."""
     if isinstance(results, float):
         return float(f"{results:.{DIGITS}g}")
     if isinstance(results, Mapping):
@@ -88,7 +88,7 @@ def load_results(path: Path) -> dict[str, Any]:
     """Read the results of `run_experiments` from a file.
 
     Raises:
-        ConfigError: The file cannot be read, or is not complete.
+        ConfigError: The file cannot be read, or does not contain all experiments.
     """
     cases = {(diameter, axis) for diameter in payload.DIAMETERS_MM for axis in payload.AXES}
     try:

@@ -1,6 +1,6 @@
 """Measurement for Figure 5: force over displacement of a tendon that pulls a blocked finger.
 
-The encoder of the motor and the load cell give the curve.
+The encoder of the motor measures the displacement, and the load cell measures the force.
 """
 
 import copy
@@ -23,37 +23,40 @@ from handctl.paper.verdicts import verdict_of_contradiction
 from handctl.programs.task import Task
 
 HAND = "jamia_bench"
-"""Name of the packaged hand for the bench."""
+"""Name of the packaged hand of the test bench."""
 BLOCKED_DEG = 0.01
-"""Range of motion left to a clamped joint [deg], equal to 1.6 um of tendon over three pulleys."""
-PULL_N = 238.0
-"""Tension of the pull [N].
+"""Range of motion that a clamped joint has left [deg].
 
-The margin for overshoot keeps it below 244 N, where the load cells count as saturated.
+Three such joints move the tendon by 1.6 um.
+"""
+PULL_N = 238.0
+"""Tension to which the tendons are pulled [N].
+
+With its overshoot, the tension stays below 244 N, at which the load cells count as saturated.
 """
 RATE_N_PER_S = 60.0
-"""Rate of the pull [N/s]."""
+"""Rate at which the tension of the pulled tendons increases [N/s]."""
 LINEAR_RANGE_N = (30.0, 150.0)
-"""Tension range in which every tendon is linear [N].
+"""Range of tension in which all tendons are linear [N].
 
-The origin of the curve is extrapolated from this range.
+From this range, the curve is extrapolated to its origin.
 """
 MAX_NOISE_RESIDUAL = 1.2
-"""Largest residual that counts as noise [standard deviations of the load cell]."""
+"""A curve counts as linear if its residual is at most this large [standard deviations of the load cell]."""
 
 
 @dataclass(frozen=True, slots=True)
 class TendonCurve:
-    """Measured curve of a tendon.
+    """Measured force-displacement curve of a tendon.
 
     Attributes:
-        knee_nominal: knee of the simulator's tendon [N].
-        displacement: (samples,) displacement at the spool, zero where the linear part meets the
-            axis [mm].
-        force: (samples,) load cell [N].
+        knee_nominal: tension at which the simulated tendon has its knee [N].
+        displacement: (samples,) displacement at the spool [mm]. It is 0 where the extrapolated
+            linear part reaches the force 0.
+        force: (samples,) reading of the load cell [N].
         stiffness: stiffness of the linear part [N/m].
-        knee: knee in the data [N], None if the curve is linear to the end.
-        knee_sigma: standard deviation of the knee in the data [N].
+        knee: tension at the measured knee [N], None if the curve is linear to the end.
+        knee_sigma: standard deviation of the measured knee [N].
     """
 
     knee_nominal: float
@@ -65,7 +68,7 @@ class TendonCurve:
 
 
 def blocked_hand(knees: tuple[float, ...]) -> Hand:
-    """Return the bench hand with clamped joints, and with the given knees, first finger first."""
+    """Return the bench hand with clamped joints, and with the given knees of the first tendons."""
     content = copy.deepcopy(load_hand(HAND).content)
     for digit in content["digit"]:
         digit["joint_max_deg"] = [low + BLOCKED_DEG for low in digit["joint_min_deg"]]
@@ -75,7 +78,7 @@ def blocked_hand(knees: tuple[float, ...]) -> Hand:
 
 
 def measure_tendons(folder: Path) -> dict[str, Any]:
-    """Pull index and middle finger, and return the measurements as plain values.
+    """Pull the tendons of index and middle finger, and return the measurements as plain values.
 
     Args:
         folder: folder for the files of the experiment.
@@ -103,7 +106,7 @@ def measure_tendons(folder: Path) -> dict[str, Any]:
 
 
 def _pull_task(tension: dict[str, float]) -> Task:
-    """Return the task that pulls the digits to a tension."""
+    """Return the task that pulls the tendons of digits to given tensions [N]."""
     phases = (
         {
             "kind": "close",
@@ -124,7 +127,7 @@ def _pull_task(tension: dict[str, float]) -> Task:
 
 
 def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
-    """Return the curve of a measurement, with its linear part and its knee.
+    """Return the force-displacement curve of a measurement, with its stiffness and its knee.
 
     Args:
         measured: result of `measure_tendons` for one tendon.
@@ -137,7 +140,7 @@ def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
     force = force[finite]
     straight = (force > LINEAR_RANGE_N[0]) & (force < LINEAR_RANGE_N[1])
     slope, offset = np.polyfit(travel[straight], force[straight], 1)
-    # The linear part meets the axis at -offset / slope.
+    # The extrapolated linear part reaches the force 0 at the displacement -offset / slope.
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (
@@ -147,26 +150,26 @@ def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
 
 
 def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
-    """Return the knee from a least-squares fit, and its standard deviation [N]."""
+    """Return the tension at the knee from a least-squares fit, and its standard deviation [N]."""
 
     def law(x: Array, knee: float, ratio: float, width: float) -> Array:
         tendon = TendonElasticity(slope, ratio * slope, knee, width, 0.0)
         return np.array([tendon.elastic(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
-    # Every fourth sample: neighbours add cost, but no information about the knee.
+    # Every fourth sample is enough. Further samples need time, and tell little about the knee.
     parameters, covariance = curve_fit(law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds)
     return float(parameters[0]), float(np.sqrt(covariance[0, 0]))
 
 
 def curves_of_tendons(measured: Mapping[str, Any]) -> list[TendonCurve]:
-    """Return the curves of all tendons of `measure_tendons`."""
+    """Return the force-displacement curves of all tendons that `measure_tendons` pulled."""
     noise = load_hand(HAND).sensor_node.tension_noise_N
     return [curve_of_tendon(tendon, noise) for tendon in measured["ropes"]]
 
 
 def knee_items(measured: Mapping[str, Any]) -> list[Item]:
-    """Return items that compare the measured knees with those of the paper."""
+    """Return items that compare the measured knees with the knees that the paper states."""
     rows = []
     verdict = verdict_of_contradiction([str(knee) for knee in src.KNEES_N], None)
     for place, tendon in zip(("Sec. 5", "Abstract"), curves_of_tendons(measured), strict=True):

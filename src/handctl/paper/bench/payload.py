@@ -1,6 +1,7 @@
-"""Measurement of the payload in the simulator.
+"""Measurement of the payload of the hand in the simulator.
 
-The hand grips an object with 6 N per finger. The object is loaded along each axis until it slips.
+The hand grips a cylinder with 6 N per finger. Then a force along one axis loads the cylinder until
+it slips.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,29 +23,35 @@ HAND = "jamia"
 DIAMETERS_MM = (30.0, 35.0, 40.0)
 """Diameters of the cylinders [mm]."""
 AXES: dict[str, tuple[int, int, int]] = {"x": (1, 0, 0), "y": (0, -1, 0), "z": (0, 0, -1)}
-"""Direction of the load by axis."""
+"""Direction of the load for each axis, in the palm frame."""
 AXIS_NAMES = {"x": "out of the palm", "y": "towards the thumb", "z": "down, along the cylinder"}
-"""Description of each axis."""
+"""Description of the direction of the load for each axis."""
 MASS_KG = 0.05
 """Mass of the cylinder [kg]."""
 TENSION_STEPS_N = (20.0, 26.0, 32.0, 38.0, 44.0)
-"""Tension steps of the search [N]. The tension for 6 N is interpolated between two steps."""
+"""Tensions that the search tries [N].
+
+The tension at which a finger presses with 6 N is interpolated between them.
+"""
 TENSION_STEP_S = 0.5
-"""Duration of one tension step [s]."""
+"""Duration of each tension of the search [s]."""
 SETTLE_S = 0.8
-"""Time before the load begins [s]."""
+"""Time from the begin of the grip to the begin of the load [s]."""
 LOAD_RATE_N_PER_S = 4.0
-"""Rate of the load [N/s]."""
+"""Rate at which the load increases [N/s]."""
 LOAD_S = 5.5
-"""Duration of the load [s]."""
+"""Duration of the increasing load [s]."""
 SLIP_SPEED_M_PER_S = 1e-3
-"""Smallest speed that counts as a slip [m/s]."""
+"""Largest speed at which the object does not count as slipping [m/s]."""
 SLIP_DISTANCE_M = 2e-3
-"""Smallest distance that counts as a slip [m]."""
+"""Largest distance by which the object may move without counting as slipping [m]."""
 SPEED_WINDOW_S = 0.1
-"""Window of the creep speed [s]."""
+"""Time over which the speed of the object is measured [s]."""
 AVERAGE_ROWS = 100
-"""Number of ground-truth rows (one per millisecond) averaged for a steady value."""
+"""Number of rows of the ground truth over which normal forces are averaged.
+
+A row is a millisecond.
+"""
 SCENE = """name = "payload"
 [object]
 shape = "cylinder"
@@ -65,12 +72,12 @@ rate_N_per_s = {rate}
 
 
 def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
-    """Return the tension of each digit at which the fingers press with 6 N, and the start time of the grip.
+    """Return the tension of each digit at which each finger presses with 6 N, and the start time of the grip.
 
-    The tension is interpolated between tension steps, then corrected once with a direct grip,
-    because friction makes the normal force depend on the history of the grip. The thumb balances
-    the fingers, so the thumb gets the mean tension. The grip begins at the same time in every run
-    on this diameter.
+    The tension is interpolated between the tensions of the search. Because of friction, the normal
+    force depends on the history of the grip. Therefore the tension is corrected once with a grip
+    that reaches it directly. The thumb balances the fingers and gets their mean tension. In all
+    runs with this diameter, the grip begins at the same time.
     """
     names = src.paper_hand().digit_names
     phases = [
@@ -78,7 +85,8 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     ]
     recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, phases)
     normals = np.array([_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases])
-    # Interpolation needs rising values, and 1e-6 N makes equal ones rise.
+    # Interpolation needs strictly increasing forces. Steps of 1e-6 N are added to forces that are
+    # equal.
     normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normals = np.full(len(names), float(src.GRIP_FINGER_N))
@@ -89,9 +97,9 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
 
 
 def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
-    """Return the tension of each digit for given normal forces [N].
+    """Return the tension of each digit that gives the fingers given normal forces [N].
 
-    The normal forces at each tension step (steps, digits) are interpolated.
+    It is interpolated between the normal forces at each tension of the search (steps, digits).
     """
     names = src.paper_hand().digit_names
     tension = {name: float(np.interp(target_normals[i], stairs[:, i], TENSION_STEPS_N)) for i, name in enumerate(names)}
@@ -100,7 +108,7 @@ def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, floa
 
 
 def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]) -> dict[str, Any]:
-    """Grip the object, load it until it slips, and return the result as plain values."""
+    """Grip the cylinder, load it until it slips, and return the result as plain values."""
     tension = grip["tension_N"]
     hold = _hold_phase("load", tension, SETTLE_S + LOAD_S)
     start = grip["began_s"] + SETTLE_S
@@ -109,10 +117,10 @@ def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[s
     end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
     normals = _mean_normals(truth, int(truth.t_ns[first]))
     slip, ended = _find_slip(truth, first, end)
-    # Along z the object's own weight acts in the direction of the load.
+    # Along z, the weight of the object acts in the direction of the load.
     weight = MASS_KG * float(src.GRAVITY) if axis == "z" else 0.0
     load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
-    # The palm carries the difference of the digits' forces out of the palm.
+    # The palm carries the sum of the contact forces of the digits along x, out of the palm.
     palm = sum(float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0]) for name in tension)
     times = truth.t_ns[first:end:10]
     moved = np.linalg.norm(_positions(truth, times) - _positions(truth, times)[0], axis=1)
@@ -125,7 +133,7 @@ def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[s
 
 
 def _hold_phase(name: str, tension: Mapping[str, float], duration: float) -> dict[str, Any]:
-    """Return a hold phase of a task."""
+    """Return a phase of a task that holds given tensions."""
     return {
         "kind": "hold",
         "name": name,
@@ -138,7 +146,7 @@ def _hold_phase(name: str, tension: Mapping[str, float], duration: float) -> dic
 def _grip_cylinder(
     folder: Path, diameter_mm: float, axis: str, start: float, holds: Sequence[Mapping[str, Any]]
 ) -> tuple[BenchRecording, TruthRecord]:
-    """Close the hand on a cylinder and hold the cylinder."""
+    """Close the hand on a cylinder, and hold the cylinder."""
     scene = folder / "payload.toml"
     truth = folder / "payload.truth"
     diameter = diameter_mm / 1000.0
@@ -163,24 +171,24 @@ def _grip_cylinder(
 
 
 def _phase_end_ns(recording: BenchRecording, phase: str) -> int:
-    """Return the time of a phase's last tick [ns]."""
+    """Return the time of the last tick of a phase [ns]."""
     return recording.t_ns[int(np.flatnonzero(recording.in_phase(phase))[-1])]
 
 
 def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
-    """Return the sum of normal forces of each digit before a time, averaged [N]."""
+    """Return the sum of the normal forces of each digit, averaged over the rows before a time [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGE_ROWS : end]
     return [float(truth.at(f"normal/{name}", times).mean()) for name in src.paper_hand().digit_names]
 
 
 def _positions(truth: TruthRecord, times: Any) -> Array:
-    """Return the positions of the object (times, 3) [m]."""
+    """Return the positions of the object at given times (times, 3) [m]."""
     return truth.table([f"object/{axis}" for axis in "xyz"], times)
 
 
 def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
-    """Return the row at which the object slips, and the criterion that was met."""
+    """Return the row of the ground truth at which the object slips, and the name of the criterion for the slip."""
     positions = _positions(truth, truth.t_ns[first:end])
     window = round(SPEED_WINDOW_S * 1000)
     moved = np.linalg.norm(positions - positions[0], axis=1)
@@ -189,20 +197,23 @@ def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
         "moved": np.flatnonzero(moved > SLIP_DISTANCE_M),
         "creep": np.flatnonzero(speed > SLIP_SPEED_M_PER_S) + window,
     }
-    # Creep is seen at the end of its window.
+    # The speed is known only at the end of the window over which it is measured.
     slips = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
     row, ended = min(slips, default=(len(moved) - 1, "held"))
     return first + row, ended
 
 
 def bound_kg(result: Mapping[str, Any]) -> float:
-    """Return the payload limit by Coulomb friction, from the measured normal forces of digits and palm [kg]."""
+    """Return the largest payload that Coulomb friction permits [kg].
+
+    It follows from the measured normal forces of digits and palm.
+    """
     normal = sum(result["normal_N"].values()) + result["palm_N"]
     return float(src.FRICTION) * float(normal) / float(src.GRAVITY)
 
 
 def payload_items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
-    """Return one item per load case."""
+    """Return one item for each load case, which is a diameter and an axis."""
     rows = []
     for result in results:
         axis = result["axis"]
@@ -226,9 +237,9 @@ def payload_items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
 
 
 def payload_table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
-    """Return a table that compares the measured payload with the paper's formula and the friction limits.
+    """Return a table that compares measured payloads with the paper's formula and the limits of friction.
 
-    The first row has the titles.
+    The first row contains the titles of the columns.
     """
     formula = float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
     titles = (
@@ -260,4 +271,4 @@ CRITERION_TEXTS = {
     "creep": "it crept faster than 1 mm/s",
     "held": "it still held at the end",
 }
-"""Description of each slip criterion."""
+"""Description of each criterion that ends a measurement."""

@@ -1,4 +1,4 @@
-"""Pool of worker processes for experiments."""
+"""Pool of worker processes that carry out experiments."""
 
 import json
 import selectors
@@ -14,19 +14,19 @@ from handctl.paper.bench.experiments import Job, Result, Workers
 WORKER = "handctl.paper.bench.worker"
 Child = subprocess.Popen[str]
 Report = Callable[[Job, bool], None]
-"""Function called with each job at its start (False) and at its end (True)."""
+"""Function that is called at the start of each job with False, and at its end with True."""
 
 
 @contextmanager
 def worker_pool(size: int, report: Report) -> Iterator[Workers]:
-    """Start worker processes, and end them at the end of the context, also after an error.
+    """Start worker processes. The context ends them at its end, also after an error.
 
     Args:
         size: number of processes.
-        report: function called at the start and end of each job.
+        report: function that is called at the start and at the end of each job.
     """
     command = [sys.executable, "-m", WORKER]
-    # A session of its own keeps the terminal's Ctrl-C from the workers.
+    # In a separate session, workers do not receive Ctrl-C from the terminal.
     children = [
         subprocess.Popen(
             command,
@@ -47,7 +47,10 @@ def worker_pool(size: int, report: Report) -> Iterator[Workers]:
 
 
 def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) -> list[Result]:
-    """Send each worker a job, and the next job after each result."""
+    """Distribute jobs among workers, and return the results in the order of the jobs.
+
+    Each worker gets a job, and the next job after each result.
+    """
     results: dict[int, Result] = {}
     waiting = iter(enumerate(jobs))
     busy: dict[Child, int] = {}
@@ -68,7 +71,7 @@ def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) 
 def _send_next_job(
     child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report
 ) -> None:
-    """Send the next job to a worker, if a job is left."""
+    """Send the next job to a worker, if there is another job."""
     for index, job in waiting:
         busy[child] = index
         report(job, False)
@@ -82,7 +85,7 @@ def _read_result(child: Child) -> Result:
     """Return the result that a worker has sent.
 
     Raises:
-        HandctlError: The experiment failed, or the worker ended.
+        HandctlError: The experiment failed, or the worker process ended without a result.
     """
     line = _checked_pipe(child.stdout).readline()
     if not line:

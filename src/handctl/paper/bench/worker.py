@@ -1,6 +1,6 @@
-"""Worker process for experiments.
+"""Worker process that carries out experiments.
 
-Each line of standard input is a job, each line of standard output a result.
+Each line of standard input is a job. Each line of standard output is the result of a job.
 """
 
 import json
@@ -14,10 +14,10 @@ from handctl.paper.bench.experiments import run_job
 
 
 def main() -> None:
-    """Run jobs until the input ends. If an experiment fails, the result is its error.
+    """Run jobs until the input ends. If an experiment fails, the result is the error message.
 
-    Ctrl-C is handled by the process that sends the jobs. SIGTERM from that process ends the worker
-    and removes the folder.
+    The worker ignores Ctrl-C, which the process that sends the jobs handles. This process sends
+    SIGTERM, which ends the worker and removes its folder.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))

@@ -1,1 +1,1 @@
-"""Figures of the paper as PNG and SVG."""
+"""Figures of the paper, drawn again as PNG and SVG."""

@@ -1,4 +1,4 @@
-"""Fig. 1: the hand in three dimensions, drawn from its description."""
+"""Fig. 1: the hand in three dimensions, drawn from its hand file."""
 
 from itertools import pairwise
 from typing import Any
@@ -13,20 +13,23 @@ from handctl.paper.figures.style import DIGITS
 
 SIZE = (7.2, 5.6)
 POSE_DEG = {"index": 24.0, "middle": 30.0, "ring": 36.0, "thumb": 30.0}
-"""Angle of all joints of each digit [deg]."""
+"""Angle that all joints of a digit have in the figure, for each digit [deg]."""
 LABEL_MM = {"index": (4, 0, 8), "middle": (4, 0, 8), "ring": (-8, -4, -14), "thumb": (0, 0, 8)}
-"""Offset of each digit's label [mm]."""
+"""Offset of the label of each digit [mm]."""
 FACES_AROUND = 24
 FACES_ALONG = 6
-"""Number of faces around a bar, and along its round end."""
+"""Number of faces around a bar, and number of rings on its round end."""
 LIGHT = np.array([0.35, -0.45, 0.82])
-"""Direction of the light."""
+"""Direction from which the light comes."""
 VIEW = (24.0, -58.0)
 """Elevation and azimuth of the view [deg]."""
 
 
 def draw_hand_figure(figure: Any) -> None:
-    """Draw the palm, then all digits in one collection, so that near faces hide far faces."""
+    """Draw the palm, and then the digits.
+
+    All digits are in one collection. Thus near faces hide far ones.
+    """
     from matplotlib.patheffects import withStroke
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]
 
@@ -86,16 +89,16 @@ def _set_axes(axes: Any) -> None:
 
 
 def _finger_and_thumb() -> tuple[Any, Any]:
-    """Return a finger and the thumb."""
+    """Return a finger and the thumb of the paper's hand."""
     return src.paper_finger(), src.paper_thumb()
 
 
 def _palm_faces() -> list[Array]:
-    """Return the six sides of the palm's box."""
+    """Return the six sides of the box that represents the palm."""
     mounts = np.array([digit.mount_position_m for digit in src.paper_hand().digit])
     low = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN)
     high = 1000.0 * (mounts.max(axis=0) + PALM_MARGIN)
-    # The palm lies behind the plane of the mounts.
+    # The box lies behind the plane in which the digits are mounted.
     low[0] = -1000.0 * PALM_THICKNESS
     high[0] = 0.0
     faces = []
@@ -112,13 +115,13 @@ def _palm_faces() -> list[Array]:
 
 
 def _capsule_faces(start: Array, end: Array, radius: float) -> list[Array]:
-    """Return the faces of a bar with a round far end."""
+    """Return the faces of a bar whose far end is round."""
     along = (end - start) / np.linalg.norm(end - start)
     side = np.cross(along, (0.0, 0.0, 1.0))
     side /= np.linalg.norm(side)
     up = np.cross(along, side)
     quarter = np.linspace(0.0, np.pi / 2, FACES_ALONG)
-    # Rings along the straight part, then around the round end.
+    # The rings of corners are first along the straight part, then around the round end.
     rings = [(start + (end - start) * fraction, radius) for fraction in np.linspace(0.0, 0.9, 5)]
     rings += [(end + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter]
     turn = np.linspace(0.0, 2.0 * np.pi, FACES_AROUND + 1)
@@ -132,12 +135,15 @@ def _capsule_faces(start: Array, end: Array, radius: float) -> list[Array]:
 
 
 def _shaded_colour(face: Array, colour: str) -> tuple[float, float, float]:
-    """Return the colour of a face under a fixed light. Both sides of the face have this colour."""
+    """Return the colour of a face under a fixed light.
+
+    Both sides of a face have the same colour.
+    """
     from matplotlib.colors import to_rgb
 
     normal = np.cross(face[2] - face[0], face[3] - face[1])
     length = float(np.linalg.norm(normal))
-    # Ambient light of 0.55, the rest by the cosine to the light.
+    # The ambient light is 0.55. The rest depends on the angle between face and light.
     bright = (
         0.55 + 0.45 * abs(float(normal @ LIGHT) / (length * float(np.linalg.norm(LIGHT))))
         if length

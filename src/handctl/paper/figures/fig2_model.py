@@ -1,4 +1,4 @@
-"""Fig. 2: kinematic model of a finger: links, hinges, relative and absolute angles."""
+"""Fig. 2: kinematic model of a finger, with links, hinges, relative and absolute angles."""
 
 from typing import Any
 
@@ -11,11 +11,11 @@ from handctl.paper.model import kinematics
 SIZE = (9.6, 5.0)
 POSE_DEG = (25.0, 30.0, 35.0)
 ARC_MM = (9.0, 6.0, 5.0)
-"""Radius of the arc that marks each relative angle [mm]."""
+"""Radius of the arc that marks the relative angle of each joint [mm]."""
 
 
 def draw_model_figure(figure: Any) -> None:
-    """Draw the finger in a pose, with the angles of the paper's sections 4 and 7 at each joint."""
+    """Draw a finger in a pose, with the angles that sections 4 and 7 of the paper use at each joint."""
     axes = figure.add_subplot()
     q = np.radians(POSE_DEG)
     theta = np.cumsum(q)

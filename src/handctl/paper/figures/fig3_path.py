@@ -1,4 +1,8 @@
-"""Fig. 3: workspace of the tips: the curve of Eq. 1-2, the hand's limits, and the area of independent joints."""
+"""Fig. 3: workspace of the tips of finger and thumb.
+
+It shows the curve of Eq. 1-2, the limits of the hand, and the area that independent joints would
+reach.
+"""
 
 from typing import Any
 
@@ -12,15 +16,15 @@ from handctl.paper.model import kinematics
 
 SIZE = (9.6, 4.5)
 CELL_MM = 0.25
-"""Size of the cells in the drawn area [mm]."""
+"""Size of the cells of which the drawn area consists [mm]."""
 SAMPLES = {"index": 161, "thumb": 900}
-"""Number of samples per joint of each digit."""
+"""Number of sampled angles of each joint, by digit."""
 HEIGHT_MM = (-12.0, 60.0)
 POSES_DEG = (0.0, 30.0, 60.0, 90.0)
 
 
 def draw_path_figure(figure: Any) -> None:
-    """Draw finger and thumb next to each other, on the same scale."""
+    """Draw the workspaces of finger and thumb next to each other, on the same scale."""
     left, right = figure.subplots(1, 2, width_ratios=(110, 58), sharey=True)
     _draw_digit(left, "index", "Finger: Eq. 1-2", (-46, 64))
     _draw_digit(right, "thumb", "Thumb: the same with 15 and 10 mm", (-24, 34))
@@ -29,7 +33,7 @@ def draw_path_figure(figure: Any) -> None:
 
 
 def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
-    """Draw a digit: area, curve, poses."""
+    """Draw a digit in some poses, its curve, and its area."""
     model = kinematics.paper_digit(name)
     _draw_area(axes, kinematics.reachable_tips(name, SAMPLES[name]), x, HEIGHT_MM)
     low, high = coordinate_limits(model)
@@ -71,9 +75,9 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
 
 
 def _draw_area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Draw the cells that contain a sampled tip, and the gaps between the samples."""
+    """Draw the cells that contain a sampled position of the tip, and fill the gaps between them."""
     bins = [np.arange(low, high + CELL_MM, CELL_MM) for low, high in (x, y)]
-    # Cells between samples would look like holes in the workspace.
+    # Cells between two samples would look like holes in the workspace.
     hit = binary_closing(np.histogram2d(tips[:, 0], tips[:, 1], bins=bins)[0] > 0, iterations=3)
     smooth = gaussian_filter(hit.astype(float), 1.5).T
     middles = [(edges[:-1] + edges[1:]) / 2.0 for edges in bins]

@@ -1,4 +1,4 @@
-"""Fig. 4 and 6: moment of a tip force along a straight digit, compared with the moment of a tendon."""
+"""Fig. 4 and 6: moments at the joints of a straight digit, from a force at its tip and from its tendon."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ SIZE = (9.6, 4.2)
 
 
 def draw_statics_figure(figure: Any) -> None:
-    """Draw finger and thumb, with moments per newton at the tip."""
+    """Draw finger and thumb, with the moments at their joints per newton of force at the tip."""
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 0.62), sharey=True)
     _draw_digit(left, src.paper_finger(), "Finger: M₁ = 55F, M₂ = 25F, M₃ = 10F", "T = 18.33F")
     _draw_digit(right, src.paper_thumb(), "Thumb: M₁ = 25F, M₂ = 10F", "T = 8.33F")
@@ -19,7 +19,7 @@ def draw_statics_figure(figure: Any) -> None:
 
 
 def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
-    """Draw the required and the available moments of a digit."""
+    """Draw the moments that the tip force requires at the joints of a digit, and those that the tendon makes."""
     levers = [float(lever) for lever in src.levers_mm(digit)]
     positions = [levers[0] - lever for lever in levers]
     constant = levers[0]

@@ -1,4 +1,4 @@
-"""Fig. 7: components of the torque of a closing digit, and Eq. 10 as printed and corrected."""
+"""Fig. 7: components of the torque that closes a digit, and T_1 by Eq. 10 as printed and as corrected."""
 
 from typing import Any
 
@@ -11,11 +11,14 @@ SIZE = (9.6, 9.0)
 SIZE_EQ10 = (9.0, 3.6)
 COLOURS = dict(zip(PARTS, (BLUE, RED, GREEN, ORANGE, PURPLE), strict=True))
 LINKS = PARTS[:3]
-"""Torque components that Eq. 3 to 12 describe."""
+"""Torque components that Eq. 3 to 12 of the paper describe."""
 
 
 def draw_torque_figure(figure: Any) -> None:
-    """Draw finger and thumb at three speeds. Below each, the component of the links is enlarged."""
+    """Draw the torques of finger and thumb at three speeds.
+
+    Below each, the components of the links are enlarged.
+    """
     rows = figure.subplots(4, len(DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1))
     for pair, (name, title) in enumerate((("index", "finger"), ("thumb", "thumb"))):
         for column, duration in enumerate(DURATIONS_S):
@@ -53,8 +56,8 @@ def draw_torque_figure(figure: Any) -> None:
 
 
 def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
-    """Add an axis for the tension of the tendon."""
-    # From mN m to N m, then by the lever to N.
+    """Add an axis that shows the torque as a tension of the tendon."""
+    # Torques in mN m become N m, and divided by the lever become N.
     factor = 1e-3 / lever
     side = axes.secondary_yaxis(
         "right", functions=(lambda torque: torque * factor, lambda force: force / factor)
@@ -66,7 +69,10 @@ def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
 
 
 def draw_eq10_figure(figure: Any) -> None:
-    """Draw T_1 as printed and as corrected, both on the scale of the print and on a suitable scale."""
+    """Draw T_1 by Eq. 10 as printed and as corrected.
+
+    One plot has the scale of the printed equation, the other the scale of the corrected one.
+    """
     times, printed, right = first_torque(DURATIONS_S[1])
     wide, close = figure.subplots(1, 2)
     for axes in (wide, close):

@@ -24,7 +24,7 @@ def figure_contents(
 ) -> dict[str, tuple[tuple[float, float], Content]]:
     """Return size [inch] and content of each figure.
 
-    Without results, figures of measurements are omitted.
+    Without results of experiments, the figures of measurements are left out.
     """
     drawn: dict[str, tuple[tuple[float, float], Content]] = {
         "fig1-hand": (fig1_hand.SIZE, fig1_hand.draw_hand_figure),
@@ -52,7 +52,8 @@ def draw_all_figures(folder: Path, results: Mapping[str, Any] | None) -> dict[st
 
     Args:
         folder: folder to write to, created if it does not exist.
-        results: results of `experiments.run_experiments`, None to omit the figures of measurements.
+        results: results of `experiments.run_experiments`. If they are None, the figures of
+            measurements are left out.
 
     Returns:
         Path of the SVG file of each figure.

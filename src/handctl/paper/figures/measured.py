@@ -1,4 +1,4 @@
-"""Fig. 5 and payload: measurements on the simulated bench, with the values of the paper marked."""
+"""Fig. 5, and a figure of the payload: measurements on the simulated bench, with the values of the paper marked."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,7 +16,7 @@ SHADES = (BLUE, ORANGE, GREEN)
 
 
 def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
-    """Draw the curves of both tendons, both printed knees, and the stress limit of section 5."""
+    """Draw the curves of both tendons, the two knees that the paper states, and the stress limit of section 5."""
     axes = figure.subplots()
     allowed = float(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
     top = 1.12 * float(max(src.KNEES_N))
@@ -77,7 +77,7 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     )
     axes.set(xlim=(0, end), ylim=(0, top), title="Tendon of a blocked finger, pulled over the bus")
     axes.legend(loc="lower right", fontsize=8.5, markerscale=4)
-    # Stress is proportional to tension, so the second axis needs one factor.
+    # Stress is proportional to tension. Therefore one factor gives the second axis.
     factor = src.wire_stress_mpa(1.0, wire)
     stress = axes.secondary_yaxis(
         "right", functions=(lambda force: force * factor, lambda mpa: mpa / factor)
@@ -86,7 +86,7 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
 
 
 def draw_payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw a bar per axis and diameter, and the motion of the object under the increasing load."""
+    """Draw the payload for each axis and diameter as a bar, and the motion of the object as the load increases."""
     grid = figure.add_gridspec(2, len(payload.AXES), height_ratios=(1.25, 1.0))
     _draw_bars(figure.add_subplot(grid[0, :]), results)
     first = None
@@ -131,7 +131,7 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_lines(axes: Any) -> None:
-    """Draw the paper's value, and the payload with friction on both sides of the object."""
+    """Draw lines at the payload of the paper, and at the payload with friction on both sides of the object."""
     both = 2.0 * float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
     edge = len(payload.AXES) - 0.6
     for value, colour, text in (
@@ -143,13 +143,13 @@ def _draw_lines(axes: Any) -> None:
 
 
 def _draw_traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the motion of the object for loads along an axis."""
+    """Draw the motion of the object over the load along an axis."""
     gravity = float(src.GRAVITY)
     for result, colour in zip(results, SHADES, strict=True):
         axes.plot(
             result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3
         )
-        # First sample of the trace at the load of the slip.
+        # This is the first sample of the trace with at least the load at which the object slipped.
         row = int(np.searchsorted(result["trace_N"], result["load_N"]))
         position = result["trace_mm"][min(row, len(result["trace_mm"]) - 1)]
         axes.plot(

@@ -1,4 +1,4 @@
-"""Style of all figures: colours, sizes, and saving."""
+"""Style of all figures of the paper: their colours and sizes, and how they are saved."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +13,7 @@ GREEN = "#3c9d5d"
 RED = "#d01c1c"
 PURPLE = "#7a5fb5"
 GREY = "#6b6b6b"
-"""Colours of all figures, as in the figures of a run."""
+"""The colours above are those of all figures of the paper, and also of the figures of a run."""
 DIGITS = {"index": BLUE, "middle": ORANGE, "ring": GREEN, "thumb": "#b8436f"}
 """Colour of each digit."""
 SETTINGS: Any = {
@@ -36,7 +36,7 @@ DPI = 160
 def write_figure(
     folder: Path, name: str, size: tuple[float, float], content: Callable[[Any], None]
 ) -> Path:
-    """Draw a figure and write PNG and SVG files.
+    """Draw a figure, and write it as PNG and SVG files.
 
     Args:
         folder: folder to write to.

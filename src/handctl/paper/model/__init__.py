@@ -1,1 +1,1 @@
-"""The paper's equations and numbers, each compared with the correct equation or number."""
+"""Equations and numbers of the paper, each compared with the correct equation or number."""

@@ -1,4 +1,4 @@
-"""Unstated assumptions of the paper's model, each with its numerical effect."""
+"""Assumptions that the model of the paper makes without stating them, each with its numerical effect."""
 
 from fractions import Fraction
 
@@ -12,19 +12,19 @@ from handctl.paper.verdicts import verdict_of_number, verdict_of_statement
 
 STATICS = ("statics",)
 BEND_RATIO = 18.0
-"""Smallest ratio of pulley to rope diameter in engineering practice.
+"""Smallest ratio of pulley diameter to wire diameter in engineering practice.
 
 Source: ISO 4308-1, factor h2 of mechanism class M4.
 """
 WRAP_DEG = (15.0, 30.0, 45.0)
-"""Joint angles of a finger that wraps an object, with contact at the middle of each link [deg].
+"""Joint angles of a finger that wraps around an object and touches it with the middle of each link [deg].
 
 Source: Birglen, Laliberte & Gosselin (2008).
 """
 
 
 def assumption_items() -> list[Item]:
-    """Return one item per assumption."""
+    """Return the items about the assumptions of the paper."""
     return [
         *_check_one_tendon(),
         *_check_coupling(),
@@ -36,7 +36,7 @@ def assumption_items() -> list[Item]:
 
 
 def _check_one_tendon() -> list[Item]:
-    """Check if T r_p = M can be true at every joint of the straight finger."""
+    """Check whether T r_p = M can be true at every joint of the straight finger."""
     levers = src.levers_mm(src.paper_finger())
     given = src.tension_per_newton(src.paper_finger()) * src.PULLEY_MM
     rows = []
@@ -57,16 +57,19 @@ def _check_one_tendon() -> list[Item]:
 
 
 def _check_coupling() -> list[Item]:
-    """Check if a mechanism with equal joint angles fits: the work of the tendon equals the work at the tip."""
+    """Check section 5 against the equal joint angles of section 4.
+
+    With equal angles, the work of the tendon must equal the work of the tip force.
+    """
     levers = src.levers_mm(src.paper_finger())
-    # Virtual work at equal angles: T times 3 r_p is F times the sum of the levers.
+    # By virtual work at equal angles, T times 3 r_p equals F times the sum of the levers.
     tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_MM)
     force = src.GRIP_FINGER_N * tension
     torque = src.GRIP_FINGER_N * tension * src.SPOOL_MM / 1000
     arms = src.paper_hand().moment_arms[
         src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
     ]
-    # Joint motions that no tendon controls.
+    # `free` is the number of joint motions that no tendon controls.
     free = len(levers) - int(np.linalg.matrix_rank(arms))
     return [
         Item(
@@ -83,7 +86,7 @@ def _check_coupling() -> list[Item]:
 
 
 def _check_balance() -> list[Item]:
-    """Check the force balance of three fingers with 6 N each and the thumb with 10 N."""
+    """Check whether three fingers with 6 N each and the thumb with 10 N are in balance."""
     fingers = src.FINGERS * src.GRIP_FINGER_N
     tension = fingers * src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_MM / 1000
@@ -98,7 +101,7 @@ def _check_balance() -> list[Item]:
 
 
 def _payload_of_both_sides() -> list[Item]:
-    """Compute the payload with friction on the thumb's side of the object as well."""
+    """Calculate the payload with friction on both sides of the object, and compare it with the printed payload."""
     fingers = src.FINGERS * src.GRIP_FINGER_N
     both = 2 * src.payload_kg(fingers)
     limited = 2 * src.payload_kg(src.GRIP_THUMB_N)
@@ -117,7 +120,7 @@ def _payload_of_both_sides() -> list[Item]:
 
 
 def _check_bending() -> Item:
-    """Check the bending ratio of the wire: pulley diameter to wire diameter."""
+    """Check the ratio of pulley diameter to wire diameter, which determines how much the wire is bent."""
     diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
     ratio = float(2 * src.PULLEY_MM) / diameter
     return Item(
@@ -129,20 +132,20 @@ def _check_bending() -> Item:
 
 
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> Array:
-    """Return the normal forces at the middle of each link that balance a tendon over equal pulleys (3,) [N]."""
+    """Return the normal forces at the middle of the links that balance a tendon on equal pulleys, (3,) [N]."""
     lengths = np.array(paper_digit("index").lengths)
     absolute = np.cumsum(np.radians(angles_deg))
     levers = np.zeros((3, 3))
     for joint in range(3):
         for link in range(joint, 3):
-            # Lever of a normal force at the middle of `link` about `joint`.
+            # This is the lever about `joint` of a normal force at the middle of `link`.
             inner = lengths[joint:link] @ np.cos(absolute[link] - absolute[joint:link])
             levers[joint, link] = inner + lengths[link] / 2.0
     return np.linalg.solve(levers, np.full(3, tension * float(src.PULLEY_MM) / 1000.0))
 
 
 def _check_lift_off() -> Item:
-    """Check if all links of a finger that wraps an object press on the object."""
+    """Check whether all links of a finger press on the object around which the finger wraps."""
     forces = contact_forces(110.0)
     return Item(
         "grip.middle_link", "Sec. 5", "one tendon, equal pulleys, three phalanges on the object", float(forces[1]), "N",

@@ -1,8 +1,8 @@
-"""The paper's equations 1 to 12, term by term: printed term, possible readings, and correct term.
+"""Equations 1 to 12 of the paper, term by term: the printed term, its possible readings, and the correct term.
 
-Each `right` follows from Lagrange's equations. The tests derive these terms with sympy. `readings`
-has more than one entry where the print is ambiguous: an operator is missing, or a bracket never
-closes.
+The correct terms (`right`) follow from Lagrange's equations, and the tests derive them with sympy.
+A term has several `readings` if its print is ambiguous, because an operator is missing or a bracket
+never closes.
 """
 
 from dataclasses import dataclass
@@ -15,14 +15,15 @@ class Term:
     """Term of an equation, or a group of terms that belong together.
 
     Attributes:
-        id: id of the item.
-        where: equation.
-        printed: term as in the paper.
-        readings: possible meanings of the print. An undefined symbol is read as the only possible
-            symbol.
+        id: identifier of the item about this term.
+        where: equation that contains the term.
+        printed: the term, as it is printed in the paper.
+        readings: possible meanings of the printed term. If only one meaning of an undefined symbol
+            is possible, the symbol is read in this way.
         right: correct term.
-        why: explanation of the error.
-        mirror: id of the term with the same coefficient, as the symmetric mass matrix requires.
+        why: explanation of the error in the printed term.
+        mirror: identifier of the term that must have the same coefficient, because the mass matrix
+            is symmetric.
     """
 
     id: str
@@ -42,7 +43,7 @@ def _term(
     why: str = "",
     mirror: str = "",
 ) -> Term:
-    """Return a term. The equation is taken from the id."""
+    """Return a term. The number of its equation is taken from the identifier."""
     texts = (readings,) if isinstance(readings, str) else readings
     number = id.removeprefix("eq").partition(".")[0]
     reason = why or "As derived."

@@ -1,6 +1,7 @@
-"""Formulas given as text: evaluation on numbers or arrays, dimension check, and typesetting.
+"""Formulas that are given as text: their evaluation on numbers or arrays, check of dimensions, and typesetting.
 
-The tests give the same text to sympy, so that the proven formula is the printed formula.
+The tests give the same text to sympy. Thus the formula that sympy proves is the formula that is
+typeset.
 """
 
 import ast
@@ -13,12 +14,12 @@ from typing import Any
 import numpy as np
 
 Dimension = tuple[int, int, int]
-"""Powers of kilogram, metre and second."""
+"""Exponents of kilogram, metre and second in the unit of a quantity."""
 NONE: Dimension = (0, 0, 0)
 
 
 class DimensionError(Exception):
-    """Error for a sum of different dimensions, or for a function argument that is not an angle."""
+    """Error for a sum of quantities with different dimensions, or for a function argument that is not an angle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,25 +27,25 @@ class Expression:
     """Formula of names, numbers, `+ - * / **`, `sin`, `cos` and `pi`.
 
     Attributes:
-        text: formula in Python's notation. `th1`, `dth1`, `ddth1` are an angle and its
-            derivatives.
+        text: formula in Python's notation. `th1`, `dth1` and `ddth1` are an angle and its first and
+            second derivative by time.
     """
 
     text: str
 
     @property
     def tree(self) -> ast.expr:
-        """Return the syntax tree."""
+        """Return the syntax tree of the formula."""
         return ast.parse(self.text, mode="eval").body
 
     @property
     def names(self) -> frozenset[str]:
-        """Return the names in the formula, except functions."""
+        """Return the names in the formula, without those of functions."""
         names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         return frozenset(names - FUNCTIONS.keys() - {"pi"})
 
     def value(self, values: Mapping[str, Any]) -> Any:
-        """Return the value of the formula, element by element for arrays.
+        """Return the value of the formula. For arrays, it is calculated element by element.
 
         Raises:
             KeyError: A name has no value.
@@ -60,7 +61,7 @@ class Expression:
         return _dimension_of(self.tree, dimensions)
 
     def pretty(self) -> str:
-        """Return the formula as typeset text, for example θ̇₁², without product signs."""
+        """Return the formula as typeset text without product signs, for example θ̇₁²."""
         return _pretty_text(self.tree)[0]
 
 
@@ -109,7 +110,7 @@ def _dimension_of(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimens
                 raise DimensionError(f"{ast.unparse(node)}: not an angle")
             return NONE
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
-            # A power multiplies the exponents of the units.
+            # A power multiplies the exponents of the units by its exponent.
             kg, m, s = _dimension_of(left, dimensions)
             return (kg * power, m * power, s * power)
         case ast.BinOp(left=left, op=op, right=right):
@@ -129,7 +130,7 @@ def _combined_dimension(
                 f"{ast.unparse(node)}: {dimension_text(first)} and {dimension_text(second)}"
             )
         return first
-    # A product adds the exponents of the units, a quotient subtracts them.
+    # A product adds the exponents of the units. A quotient subtracts them.
     sign = -1 if isinstance(op, ast.Div) else 1
     return (first[0] + sign * second[0], first[1] + sign * second[1], first[2] + sign * second[2])
 
@@ -153,7 +154,7 @@ _POWER = 3
 
 
 def _pretty_text(node: ast.expr) -> tuple[str, int]:
-    """Return a node as text, and the precedence of its operator."""
+    """Return a node of the syntax tree as text, and the precedence of its operator."""
     match node:
         case ast.Constant(value=value):
             return f"{value:g}" if isinstance(value, int | float) else str(value), _POWER
@@ -166,7 +167,7 @@ def _pretty_text(node: ast.expr) -> tuple[str, int]:
             return (f"{name} {text}" if strength == _POWER else f"{name}({text})"), _PRODUCT
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=power)):
             return _in_brackets(left, _POWER) + str(power).translate(_SUPERSCRIPTS), _POWER
-        # A leading minus moves to the front of the whole product.
+        # A minus sign of the first factor moves to the front of the whole product.
         case ast.BinOp(op=ast.Mult() | ast.Div()) if (positive := _without_minus(node)) is not node:
             return "−" + _pretty_text(positive)[0], _SUM
         case ast.BinOp(left=left, op=ast.Div(), right=right):
@@ -183,7 +184,10 @@ def _pretty_text(node: ast.expr) -> tuple[str, int]:
 
 
 def _without_minus(node: ast.expr) -> ast.expr:
-    """Return a product without the minus sign of its first factor, or an unchanged node without such a sign."""
+    """Return a product without the minus sign of its first factor.
+
+    A node without such a sign is returned unchanged.
+    """
     match node:
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return inner
@@ -194,13 +198,13 @@ def _without_minus(node: ast.expr) -> ast.expr:
 
 
 def _in_brackets(node: ast.expr, min_strength: int) -> str:
-    """Return a node as text, in brackets if its precedence is lower than required."""
+    """Return a node of the syntax tree as text, in brackets if its precedence is lower than required."""
     text, strength = _pretty_text(node)
     return text if strength >= min_strength else f"({text})"
 
 
 def pretty_name(name: str) -> str:
-    """Return a name in mathematical notation: ddth1 is θ̈₁, L1 is L₁."""
+    """Return a name in mathematical notation. For example, ddth1 becomes θ̈₁, and L1 becomes L₁."""
     match = re.fullmatch(r"(d{0,2})th(\d)", name)
     if match:
         dots = ("θ", "θ̇", "θ̈")[len(match[1])]

@@ -1,4 +1,4 @@
-"""Section 4: check of Eq. 1 and 2 with the hand's kinematics, meaning of their angles, workspace of a digit."""
+"""Section 4 of the paper: check of Eq. 1 and 2, the meaning of their angles, and the workspace of a digit."""
 
 from collections.abc import Callable
 
@@ -20,17 +20,17 @@ ANGLES = np.linspace(-1.0, 2.0, 61)
 
 
 def paper_digit(name: str) -> DigitModel:
-    """Return a digit of the paper's hand."""
+    """Return the model of a digit of the paper's hand."""
     return DigitModel.of(src.paper_hand(), name)
 
 
 def points_in_plane(model: DigitModel, q: Array) -> Array:
-    """Return joints and tip in the plane of the digit, (n + 1, 2) [m]."""
+    """Return the positions of joints and tip in the plane of the digit, (n + 1, 2) [m]."""
     return from_palm(model, joint_points(model, q))[:, :2]
 
 
 def kinematics_items() -> list[Item]:
-    """Return the items about Eq. 1-2, the meaning of their angles, and inverse kinematics."""
+    """Return the items about kinematics: Eq. 1-2, the meaning of their angles, and inverse kinematics."""
     return [
         _check_hinges(),
         *_check_general_position(),
@@ -42,7 +42,7 @@ def kinematics_items() -> list[Item]:
 
 
 def fingertip_path(name: str, angles: Array) -> Array:
-    """Return the path of a fingertip, (angles, 2) [mm]: its position for each angle that all joints have."""
+    """Return the positions of a fingertip, (angles, 2) [mm], while all joints have the same angle."""
     model = paper_digit(name)
     return 1000.0 * np.array(
         [points_in_plane(model, np.full(model.joint_count, angle))[-1] for angle in angles]
@@ -50,13 +50,13 @@ def fingertip_path(name: str, angles: Array) -> Array:
 
 
 def reachable_tips(name: str, per_joint: int) -> Array:
-    """Return the tips of a digit whose joints move independently within their limits (points, 2) [mm]."""
+    """Return tip positions that a digit with independent joints can reach within its limits, (points, 2) [mm]."""
     model = paper_digit(name)
     axes = [
         np.linspace(low, high, per_joint)
         for low, high in zip(model.joint_min, model.joint_max, strict=True)
     ]
-    # Absolute link angles are cumulative sums of joint angles.
+    # The absolute angles of the links are cumulative sums of the joint angles.
     absolute = np.cumsum(
         np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)), axis=1
     )
@@ -65,7 +65,7 @@ def reachable_tips(name: str, per_joint: int) -> Array:
 
 
 def _check_paths() -> list[Item]:
-    """Check Eq. 1 and 2 along the path of the tip."""
+    """Check whether Eq. 1 and 2 give the path of the tip."""
     tips = fingertip_path("index", ANGLES)
     thumb = " + ".join(
         f"{length} cos {'' if i == 0 else i + 1}θ"
@@ -104,7 +104,10 @@ def _lengths_text(name: str) -> list[str]:
 
 
 def _check_general_position() -> list[Item]:
-    """Check the tip position in section 4, L1 cos q1 + L2 cos(q1 + q2) + .. and sines, at random angles."""
+    """Check the tip position that section 4 states, at random angles.
+
+    It is L1 cos q1 + L2 cos(q1 + q2) + .., and the same with sines.
+    """
     model = paper_digit("index")
     random = np.random.default_rng(1)
     rows = random.uniform(-2.0, 2.0, (100, 3))
@@ -127,7 +130,7 @@ def _check_general_position() -> list[Item]:
 
 
 def _check_hinges() -> Item:
-    """Check that Fig. 2's chain of three hinges about z stays in a plane and keeps the link lengths."""
+    """Check whether the chain of hinges in Fig. 2 stays in a plane and keeps the lengths of its links."""
     model = paper_digit("index")
     random = np.random.default_rng(3)
     worst = 0.0
@@ -143,10 +146,10 @@ def _check_hinges() -> Item:
 
 
 def _check_kind_of_angle() -> Item:
-    """Check if angles of one kind fit both Eq. 6 and Eq. 1-2.
+    """Check whether angles of one kind fit both Eq. 6 and Eq. 1-2.
 
-    Eq. 6 is the potential energy only with absolute angles. Eq. 1-2 are true only with relative
-    angles.
+    Eq. 6 gives the potential energy only with absolute angles, but Eq. 1-2 are true only with
+    relative angles.
     """
     model = paper_digit("index")
     q = np.array([0.3, 0.5, 0.7])
@@ -166,7 +169,7 @@ def _check_kind_of_angle() -> Item:
 
 
 def _check_absolute_angles() -> Item:
-    """Check the statement on angles in section 7: the heights in Eq. 6 are correct with absolute angles."""
+    """Check whether the heights in Eq. 6 are correct with absolute angles, as section 7 states."""
     model = paper_digit("index")
     q = np.array([0.3, 0.5, 0.7])
     height = 1000.0 * float(np.array(model.lengths) @ np.sin(np.cumsum(q)))
@@ -179,7 +182,10 @@ def _check_absolute_angles() -> Item:
 
 
 def _check_inverse() -> Item:
-    """Check inverse kinematics, which the paper lacks: forward kinematics of the result must return the tip."""
+    """Check the inverse kinematics that the paper does not print.
+
+    Forward kinematics of each solution must return the position of the tip.
+    """
     model = paper_digit("index")
     random = np.random.default_rng(2)
     worst = 0.0

@@ -1,9 +1,9 @@
-"""Equations 3 to 12 at random states: each printed term is compared with the correct term.
+"""Equations 3 to 12 of the paper: each printed term is compared with the correct term at random states.
 
 The correct terms follow from Lagrange's equations.
 
-Every derivative is computed by complex steps, exact to rounding, so that no manual algebra is
-needed.
+All derivatives are calculated with complex steps. They are exact except for rounding errors, and
+need no algebra by hand.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,11 +26,15 @@ from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
 STATES = 200
 """Number of random states."""
 TOLERANCE = 1e-9
-"""Largest relative difference that counts as rounding. The smallest misprint causes about 0.1."""
-COMPLEX_STEP = 1e-30
-"""Size of the complex step.
+"""Largest relative difference that counts as a rounding error.
 
-The method has no subtraction, so the step may be arbitrarily small. Source: Squire & Trapp (1998).
+The smallest effect of a misprint is about 0.1.
+"""
+COMPLEX_STEP = 1e-30
+"""Size of the complex step of a derivative.
+
+The step may be as small as desired, because the method subtracts nothing. Source: Squire & Trapp
+(1998).
 """
 JOULE: Dimension = (1, 2, -2)
 """Dimension of energy, and of torque."""
@@ -41,15 +45,15 @@ DIMENSIONS: dict[str, Dimension] = {
     **{"d" * order + f"th{i}": (0, 0, -order) for order in (0, 1, 2) for i in (1, 2, 3)},
     "g": (0, 1, -2),
 }
-"""Dimension of each symbol."""
+"""Dimension of each symbol in Eq. 3 to 12."""
 States = Mapping[str, Any]
 
 
 @cache
 def random_states() -> States:
-    """Return random parameters, angles, rates, and accelerations of order 1, (STATES,) each.
+    """Return random values of order 1 of all parameters, angles, rates, and accelerations, (STATES,) each.
 
-    The states are the same in every run.
+    The values are the same in every run.
     """
     random = np.random.default_rng(7)
     values: dict[str, Array] = {}
@@ -60,7 +64,7 @@ def random_states() -> States:
 
 
 def finger_states(digit: DigitModel) -> States:
-    """Return random motions of a finger with the lengths and masses of the given digit."""
+    """Return random motions, with the lengths, masses and inertias of the given digit."""
     states = dict(random_states())
     for i in range(3):
         states |= {f"I{i + 1}": digit.inertias[i, 2, 2], f"m{i + 1}": digit.masses[i]}
@@ -69,12 +73,15 @@ def finger_states(digit: DigitModel) -> States:
 
 
 def relative_deviation(value: Any, correct: Any) -> float:
-    """Return the largest difference of two values, relative to the largest correct value."""
+    """Return the largest difference between values and correct values, relative to the largest correct value."""
     return float(np.max(np.abs(value - correct)) / np.max(np.abs(correct)))
 
 
 def lagrange_torques(states: States) -> list[Array]:
-    """Return T_i = d/dt(∂L/∂θ̇_i) − ∂L/∂θ_i of the correct energies, Eq. 7 to 9, (3, STATES) [N m]."""
+    """Return the torques T_i that follow from the correct energies by Eq. 7 to 9, (3, STATES) [N m].
+
+    T_i = d/dt(∂L/∂θ̇_i) − ∂L/∂θ_i.
+    """
     return [_momentum_rate(states, i) - _lagrangian_slope(states, i) for i in (1, 2, 3)]
 
 
@@ -84,24 +91,24 @@ def _energy(terms: Sequence[Term], states: States) -> Any:
 
 
 def _momentum_rate(states: States, i: int) -> Array:
-    """Return d/dt of ∂K/∂θ̇_i.
+    """Return the derivative by time of ∂K/∂θ̇_i.
 
-    K is quadratic in the rates, so a difference over a whole unit is exact.
+    K is quadratic in the rates. Therefore a difference over a whole unit is exact.
     """
     moved = dict(states)
     for j in (1, 2, 3):
-        # The total derivative by time: angles move with their rates, rates with their
+        # In a total derivative by time, angles change with their rates, and rates with their
         # accelerations.
         moved[f"th{j}"] = states[f"th{j}"] + 1j * COMPLEX_STEP * states[f"dth{j}"]
         moved[f"dth{j}"] = states[f"dth{j}"] + 1j * COMPLEX_STEP * states[f"ddth{j}"]
-    # K is quadratic in the rates: (K(r + 1) - K(r - 1)) / 2 is exactly its derivative.
+    # Because K is quadratic in the rates, (K(r + 1) - K(r - 1)) / 2 is exactly its derivative by r.
     rate = f"dth{i}"
     above, below = (_energy(equations.KINETIC, {**moved, rate: moved[rate] + unit}) for unit in (1.0, -1.0))
     return np.asarray(np.imag((above - below) / 2.0) / COMPLEX_STEP)
 
 
 def _lagrangian_slope(states: States, i: int) -> Array:
-    """Return ∂L/∂θ_i."""
+    """Return ∂L/∂θ_i, where L is the Lagrangian of the correct energies."""
     moved = {**states, f"th{i}": states[f"th{i}"] + 1j * COMPLEX_STEP}
     lagrangian = _energy(equations.KINETIC, moved) - _energy(equations.POTENTIAL, moved)
     return np.asarray(np.imag(lagrangian) / COMPLEX_STEP)
@@ -113,12 +120,12 @@ def term_items() -> list[Item]:
 
 
 def _term_item(term: Term) -> Item:
-    """Return the item of a term."""
+    """Return the item that compares a term with the correct one."""
     states = random_states()
     correct = term.right.value(random_states())
     deviations = [relative_deviation(reading.value(states), correct) for reading in term.readings]
     verdict = verdict_of_readings([value < TOLERANCE for value in deviations])
-    # Dimensions and symmetry are evidence that a reader can check by hand.
+    # Wrong dimensions and missing symmetry are evidence that a reader can check by hand.
     faults = [] if verdict == ErrataVerdict.EQUAL else [_dimension_evidence(term), _symmetry_evidence(term)]
     return Item(
         term.id, term.where, term.printed, term.right.pretty(), "", verdict, term.why,
@@ -127,7 +134,7 @@ def _term_item(term: Term) -> Item:
 
 
 def _dimension_evidence(term: Term) -> str:
-    """Return the evidence "dimensions" if a reading has wrong dimensions, else an empty tuple."""
+    """Return the text "dimensions" if a reading of a term has wrong dimensions, else an empty text."""
     for reading in term.readings:
         try:
             if reading.dimension(DIMENSIONS) != JOULE:
@@ -138,7 +145,7 @@ def _dimension_evidence(term: Term) -> str:
 
 
 def _symmetry_evidence(term: Term) -> str:
-    """Return evidence if a printed coefficient differs from that of its mirror term, else an empty tuple."""
+    """Return a text if the printed coefficient of a term differs from that of its mirror term, else an empty text."""
     if not term.mirror:
         return ""
     mirror = next(other for terms in equations.TORQUES for other in terms if other.id == term.mirror)
@@ -150,7 +157,7 @@ def _symmetry_evidence(term: Term) -> str:
 def equation_items() -> list[Item]:
     """Return the items for Eq. 7 to 9, and for Eq. 10 to 12 as a whole.
 
-    The equations are compared with this project's equations of motion.
+    The equations are compared with the equations of motion of handctl.
     """
     digit = paper_finger()
     states = finger_states(digit)
@@ -185,7 +192,10 @@ def equation_items() -> list[Item]:
 
 
 def _check_joint_torque(digit: DigitModel, states: States, model: Sequence[Array]) -> Item:
-    """Check if T_i is the torque at a joint. A motor at the joint must make tau = S^T T."""
+    """Check whether T_i is the torque at a joint.
+
+    In fact, a motor at the joint must make tau = S^T T.
+    """
     joints = joint_torques(digit, states)
     is_equal = relative_deviation(model[0], joints[:, 0]) < TOLERANCE
     summed = relative_deviation(model[0] + model[1] + model[2], joints[:, 0])
@@ -199,13 +209,16 @@ def _check_joint_torque(digit: DigitModel, states: States, model: Sequence[Array
 
 
 def _agreement_text(off: float) -> str:
-    """Return how well two values agree as text, without digits that differ between machines."""
+    """Return a text that says how well two values agree.
+
+    It contains no digits that differ from machine to machine.
+    """
     return "to rounding" if off < TOLERANCE else f"to {off:.1g}"
 
 
 def paper_finger() -> DigitModel:
-    """Return a finger of the packaged hand as in Eq. 3 to 12: no armature, weight along -y of its plane."""
-    # Eq. 3 to 12 have no armature, and their weight acts along -y of the finger's plane.
+    """Return a finger of the packaged hand with the assumptions of Eq. 3 to 12."""
+    # In Eq. 3 to 12, joints have no armature, and the weight acts along -y of the finger's plane.
     digit = DigitModel.of(load_hand("jamia"), "index")
     digit = digit.with_gravity(digit.mount_rotation @ np.array([0.0, -9.81, 0.0]))
     table = digit.table.copy()
@@ -214,23 +227,23 @@ def paper_finger() -> DigitModel:
 
 
 def joint_torques(digit: DigitModel, states: States) -> Array:
-    """Return joint torques of this project's inverse dynamics (STATES, 3) [N m]."""
+    """Return the joint torques that the inverse dynamics of handctl gives, (STATES, 3) [N m]."""
     q, dq, ddq = (_relative_from_absolute(states, "d" * order + "th") for order in (0, 1, 2))
     rows = zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
     return np.array([inverse_dynamics(digit, *row) for row in rows])
 
 
 def model_torques(digit: DigitModel, states: States) -> list[Array]:
-    """Return the torques for absolute angles, T = S^-T tau."""
+    """Return the torques T of these joint torques tau, for absolute angles: T = S^-T tau, (STATES,) each [N m]."""
     tau = joint_torques(digit, states)
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]
 
 
 def _relative_from_absolute(states: States, name: str) -> Array:
-    """Return relative joint angles (STATES, 3), or their derivatives, converted from absolute angles."""
+    """Return relative joint angles or their derivatives, (STATES, 3), calculated from absolute ones."""
     return np.diff(np.column_stack([states[f"{name}{i}"] for i in (1, 2, 3)]), axis=1, prepend=0.0)
 
 
 def printed_sum(terms: Sequence[Term], states: States) -> Any:
-    """Return the value of an equation as printed, with each term in its first reading."""
+    """Return the value of a printed equation, with the first reading of each term."""
     return sum(term.readings[0].value(states) for term in terms)

@@ -1,4 +1,4 @@
-"""Dynamics of section 7 in a motion: torque of a closing digit, split by cause."""
+"""Dynamics of section 7 in a motion: the torque that closes a digit, divided by cause."""
 
 from dataclasses import dataclass
 
@@ -17,23 +17,24 @@ from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
 CLOSED_DEG = 60.0
 """Angle of each joint at the end of the motion [deg]."""
 DURATIONS_S = (0.6, 0.3, 0.15)
-"""Durations of the motion [s]."""
+"""Durations of the motion for which the torques are drawn [s]."""
 SAMPLES = 301
 """Number of samples of a motion."""
 PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
-"""Causes of the torque. The first three are effects of the links."""
+"""Causes of the torque. The first three are effects of the links alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """Torques of a digit that closes along a minimum-jerk path, with equal joint angles.
+    """Torques that close a digit along a minimum-jerk path, with equal joint angles.
 
     Attributes:
         digit: name of the digit.
-        duration: duration [s].
-        times: (samples,) time [s].
-        parts: torque at the digit's single coordinate by cause, (samples,) each [N m].
-        lever: moment arm of the tendon on this coordinate, the sum of the pulley radii [m].
+        duration: duration of the motion [s].
+        times: (samples,) times of the samples [s].
+        parts: torque at the single coordinate of the digit, by cause, (samples,) each [N m].
+        lever: moment arm of the tendon for this coordinate, which is the sum of the pulley radii
+            [m].
     """
 
     digit: str
@@ -43,7 +44,7 @@ class Closing:
     lever: float
 
     def tension(self, part: str) -> float:
-        """Return the largest tension that a cause requires [N]."""
+        """Return the largest tension that one cause of the torque requires [N]."""
         return float(np.abs(self.parts[part]).max()) / self.lever
 
 
@@ -58,12 +59,12 @@ def closing_torques(name: str, duration: float) -> Closing:
 
     Args:
         name: name of the digit.
-        duration: duration [s].
+        duration: duration of the motion [s].
     """
     digit = upright_digit(name)
     times = np.linspace(0.0, duration, SAMPLES)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
-    # The digit has one coordinate, so every torque is projected on the coupling.
+    # The digit has one coordinate. Therefore every torque is projected on the coupling.
     rotor = float(reflected_inertia(digit)[0, 0])
     coupling = digit.coupling[:, 0]
     rows = []
@@ -82,28 +83,32 @@ def closing_torques(name: str, duration: float) -> Closing:
 
 
 def first_torque(duration: float) -> tuple[Array, Array, Array]:
-    """Return T_1 of a closing finger: times [s], values from Eq. 10 as printed, and corrected values [N m]."""
+    """Return times [s], and T_1 of a closing finger by Eq. 10 as printed and as corrected [N m]."""
     digit = upright_digit("index")
     times = np.linspace(0.0, duration, SAMPLES)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
     moves = np.array([[value[0] for value in path.at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
-        # Equal joint angles make the absolute angles multiples of the first one.
+        # With equal joint angles, the absolute angles are multiples of the first one.
         states |= {"d" * order + f"th{i}": i * moves[:, order] for i in (1, 2, 3)}
     right = sum(term.right.value(states) for term in equations.TORQUE_1)
     return times, np.asarray(printed_sum(equations.TORQUE_1, states)), np.asarray(right)
 
 
 def motion_items() -> list[Item]:
-    """Return items about Eq. 10 for a straight finger, the scope of Eq. 3 to 12, and their mention in section 8."""
+    """Return the items about the torque in a motion.
+
+    They are about Eq. 10 for a straight finger, the scope of Eq. 3 to 12, and the torque that
+    section 8 mentions.
+    """
     return [_check_static_torque(), _check_completeness(), _check_torque_value()]
 
 
 def _check_static_torque() -> Item:
-    """Check the torque at joint 1 that holds the straight finger.
+    """Check whether T_1 of Eq. 10 is the torque at joint 1 that holds the straight finger.
 
-    This torque is the sum of Eq. 10 to 12, not Eq. 10 alone.
+    This torque is the sum of T_1 to T_3 of Eq. 10 to 12, and not T_1 alone.
     """
     _, printed, right = first_torque(DURATIONS_S[1])
     digit = upright_digit("index")
@@ -117,9 +122,9 @@ def _check_static_torque() -> Item:
 
 
 def _check_completeness() -> Item:
-    """Check if Eq. 3 to 12 give the complete torque.
+    """Check whether Eq. 3 to 12 give the complete torque of a motion.
 
-    The paper has no springs and no actuator inertia.
+    The paper does not mention springs or the inertia of the actuator.
     """
     fast = closing_torques("index", DURATIONS_S[-1])
     links = sum(fast.parts[part] for part in PARTS[:3])
@@ -138,7 +143,10 @@ def _check_completeness() -> Item:
 
 
 def _check_torque_value() -> Item:
-    """Check section 8's claim of a torque value. Eq. 10 to 12 contain symbols only."""
+    """Check whether the paper states a value of the torque, as section 8 says.
+
+    Eq. 10 to 12 contain only symbols.
+    """
     fast = closing_torques("index", DURATIONS_S[-1])
     peak = 1000.0 * float(np.abs(sum(fast.parts[part] for part in PARTS[:3])).max())
     terms = [

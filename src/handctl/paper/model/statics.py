@@ -1,4 +1,4 @@
-"""Sections 5 and 6: moments, tension, torque, payload, and wire, computed from the paper's own numbers."""
+"""Sections 5 and 6: moments, tension, torque, payload, and wire, calculated from the numbers of the paper."""
 
 import math
 from fractions import Fraction
@@ -19,7 +19,7 @@ STATICS = ("statics",)
 
 
 def statics_items() -> list[Item]:
-    """Return every number of the statics."""
+    """Return the items about all numbers and formulas of the statics."""
     return [
         *_check_moments(),
         *_check_labels(),
@@ -41,16 +41,16 @@ def number_item(
     reason: str,
     symbol: str = "",
 ) -> Item:
-    """Return an item whose verdict follows from its digits.
+    """Return an item about a printed number. The verdict follows from its digits.
 
-    The printed symbol comes after the number.
+    `symbol` is printed behind the number.
     """
     verdict = verdict_of_number(printed, exact)
     return Item(id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC)
 
 
 def _check_moments() -> list[Item]:
-    """Check the moments in sections 5 and 6."""
+    """Check the printed moments in sections 5 and 6."""
     rows = [
         ("sec5.M", "Sec. 5", src.paper_finger(), ("55", "25", "10"), "F"),
         ("sec6.MT", "Sec. 6", src.paper_thumb(), ("25", "10"), "Fₜ"),
@@ -91,13 +91,16 @@ LABELS = (
     ),
     ("sec6.MT2_label", "Sec. 6", "M_T2: moment at end joint link2", src.paper_thumb, 1, (1,)),
 )
-"""Label of each moment: joint of the moment, and joints named in the label, counted from the palm."""
+"""Printed label of each moment, the joint at which the moment acts, and the joints that the label names.
+
+Joints are counted from the palm, beginning with 0.
+"""
 
 
 def _check_labels() -> list[Item]:
-    """Check the labels of the moments.
+    """Check the labels that the paper gives to the moments.
 
-    A label with several joints states that their moments are equal.
+    If a label names several joints, it states that the moments at these joints are equal.
     """
     rows = []
     for id, where, printed, digit, joint, named in LABELS:
@@ -122,11 +125,11 @@ DIMENSIONS: dict[str, Dimension] = {
     "M": (1, 2, -2), "T": FORCE, "F": FORCE, "r_p": LENGTH, "r_a": LENGTH, "g": (0, 1, -2), "mu": NONE, "A": (0, 2, 0),
     "sigma": STRESS,
 }  # fmt: skip
-"""Dimension of each symbol."""
+"""Dimension of each symbol in the formulas of section 5."""
 
 
 def _check_formulas() -> list[Item]:
-    """Check the formulas in section 5 by dimensions, and by comparison with the hand's statics."""
+    """Check the formulas in section 5 by their dimensions, and by comparison with the statics of the hand."""
     hand = src.paper_hand()
     tendons = src.paper_hand().digit_tendons["index"]
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
@@ -139,7 +142,7 @@ def _check_formulas() -> list[Item]:
     }  # fmt: skip
     diameter = src.wire_diameter_mm(tension) / 1000
     values["A"] = math.pi * diameter**2 / 4
-    # The text of each formula is evaluated with the hand's own numbers.
+    # Each formula is evaluated with the numbers of the hand.
     rows = (
         ("moment", "M = T r_p", "T*r_p", (1, 2, -2), arms[0] * tension,
          "By virtual work: the tendon's moment arm at each joint is its pulley's radius."),
@@ -176,13 +179,14 @@ def _check_formulas() -> list[Item]:
 
 
 def _check_finger() -> list[Item]:
-    """Check tension and torque of the finger."""
+    """Check the printed tension and torque of the finger."""
     tension = src.tension_per_newton(src.paper_finger())
     torque = tension * src.SPOOL_MM / 1000
     tension_item = number_item(
         "sec5.tension", "Sec. 5", "18.33", tension, "N per N",
         f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
-    # The paper computes the torque from the rounded tension, so the rounding is carried on.
+    # The paper calculates the torque from the rounded tension. Therefore the torque contains the
+    # rounding error.
     carried = Fraction("18.33") * src.SPOOL_MM / 1000
     verdict = verdict_of_derived_number("0.09165", torque, carried, tension_item.verdict)
     torque_item = Item(
@@ -192,7 +196,7 @@ def _check_finger() -> list[Item]:
 
 
 def _check_payload() -> list[Item]:
-    """Check the payloads."""
+    """Check the printed payloads."""
     one = src.payload_kg(src.GRIP_FINGER_N)
     three = src.payload_kg(src.FINGERS * src.GRIP_FINGER_N)
     first = number_item(
@@ -217,7 +221,7 @@ def _check_payload() -> list[Item]:
 
 
 def _check_wire() -> list[Item]:
-    """Check the wire diameters."""
+    """Check the printed diameters of the wire."""
     tension = src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
     low, high = (src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in rounding_interval("0.866"))
@@ -234,7 +238,7 @@ def _check_wire() -> list[Item]:
 
 
 def _check_area() -> Item:
-    """Check the formula for the area, A = pi d2/4.
+    """Check the printed formula for the area of the wire, A = pi d2/4.
 
     The result is an area only if the 2 is an exponent.
     """
@@ -251,7 +255,7 @@ def _check_area() -> Item:
 
 
 def _check_knee() -> list[Item]:
-    """Check the knees of the force-displacement curve."""
+    """Check the statements about the knee of the force-displacement curve."""
     diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
     knee, knee_abstract = src.KNEES_N
     stress = src.wire_stress_mpa(knee, diameter)
@@ -274,7 +278,7 @@ def _check_knee() -> list[Item]:
 
 
 def _check_thumb() -> list[Item]:
-    """Check tension and torque of the thumb."""
+    """Check the printed tension and torque of the thumb."""
     tension = src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_MM / 1000
     first = number_item(
@@ -302,9 +306,10 @@ def _check_thumb() -> list[Item]:
 
 
 def _missing_radius() -> Item:
-    """Compute the radius missing in print from the printed 8.33 F."""
+    """Calculate the pulley radius that is missing in print, from the printed tension 8.33 F."""
     printed = "r_p = mm"
-    # The interval of 8.33 gives an interval of radii, and one whole millimetre is in it.
+    # The numbers that round to 8.33 give an interval of radii. It contains one whole number of
+    # millimetres.
     low, high = sorted(src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33"))
     whole = [radius for radius in range(1, 10) if low <= radius <= high]
     return Item(

@@ -1,4 +1,4 @@
-"""Verbal statements of the paper that can be checked by counting or computing."""
+"""Statements in the text of the paper that can be checked by counting or calculating."""
 
 import re
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from handctl.paper.verdicts import verdict_of_number, verdict_of_readings, verdi
 
 COUNT = ("count",)
 SYMBOL = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
-"""Pattern for a letter with or without an index in a printed equation."""
+"""Pattern of a symbol in a printed equation: a letter with or without an index."""
 CONTROL_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
-"""Meanings of symbols that a control law needs."""
+"""Words in the meanings of symbols that a control law needs."""
 SYMBOL_WORDS = {
     "I": "moment of inertia", "m": "mass", "L": "length", "d": "distance of the centre of mass", "g": "gravity",
 }  # fmt: skip
@@ -24,7 +24,7 @@ SYMBOL_WORDS = {
 
 
 def text_items() -> list[Item]:
-    """Return the items about counts and verbal statements."""
+    """Return the items about counts and about statements in the text."""
     return [
         *_check_degrees_of_freedom(),
         _check_palm_joint(),
@@ -38,12 +38,13 @@ def text_items() -> list[Item]:
 
 
 def _check_degrees_of_freedom() -> list[Item]:
-    """Check the number of degrees of freedom."""
+    """Check the numbers of degrees of freedom that the paper states."""
     hand = src.paper_hand()
     joints = [len(digit.joints) for digit in hand.digit]
     each = max(joints)
     total = sum(joints)
-    # Rank of the moment arms: the motions that the tendons of a digit control independently.
+    # The rank of the moment arms is the number of motions that the tendons of a digit control
+    # independently.
     ranks = [
         int(np.linalg.matrix_rank(hand.moment_arms[tendons]))
         for tendons in hand.digit_tendons.values()
@@ -67,7 +68,10 @@ def _check_degrees_of_freedom() -> list[Item]:
 
 
 def _check_palm_joint() -> Item:
-    """Check the joint in the palm link that section 3 calls fixed: the finger's first joint, or the palm itself."""
+    """Check the joint in the palm link that section 3 calls fixed.
+
+    It may be the first joint of a finger, or the palm itself.
+    """
     joints = len(src.paper_finger().joints)
     angles = {
         name for term in equations.KINETIC for name in term.right.names if name.startswith("dth")
@@ -82,14 +86,14 @@ def _check_palm_joint() -> Item:
 
 
 def _check_number_of_fingers() -> Item:
-    """Check the number of fingers."""
+    """Check the number of fingers that section 8 states."""
     digits = len(src.paper_hand().digit)
     return Item("sec8.fingers", "Sec. 8", "it is designed with two fingers", digits, "", verdict_of_number("2", digits),
                 "The hand has three fingers and a thumb. The sentence belongs to another gripper.", COUNT)  # fmt: skip
 
 
 def _depends_on(term: Sequence[Term], name: str) -> bool:
-    """Return True if an energy term depends on the rate with this name."""
+    """Return True if the energy of some terms depends on the rate with a name."""
     states = random_states()
     moved = {**states, name: states[name] + 1.0}
     change = sum(np.abs(each.right.value(moved) - each.right.value(states)) for each in term)
@@ -97,8 +101,9 @@ def _depends_on(term: Sequence[Term], name: str) -> bool:
 
 
 def _check_phalanges() -> Item:
-    """Check that the links of a finger move each other. Links of separate fingers do not."""
-    # The energy of link 2 depends on the rate of link 1, that of link 3 on the rate of link 2.
+    """Check whether the energies of the links are independent, as if the links were separate fingers."""
+    # In one finger, the energy of link 2 depends on the rate of link 1, and that of link 3 on the
+    # rate of link 2.
     apart = not _depends_on(equations.KINETIC_2, "dth1") and not _depends_on(
         equations.KINETIC_3, "dth2"
     )
@@ -110,7 +115,7 @@ def _check_phalanges() -> Item:
 
 
 def _find_undefined_symbols() -> Item:
-    """Find symbols in the equations that the paper does not define."""
+    """Find symbols in the printed equations that the paper does not define."""
     defined = {name[0] + "₀₁₂₃"[int(name[1])] for name in DIMENSIONS if len(name) == 2} | {"g"}
     undefined = sorted(_printed_symbols() - defined)
     return Item(
@@ -119,7 +124,7 @@ def _find_undefined_symbols() -> Item:
 
 
 def _printed_symbols() -> set[str]:
-    """Return the symbols of the printed equations 3 to 12, without angles."""
+    """Return the symbols in the printed equations 3 to 12, except angles."""
     torques = (term for terms in equations.TORQUES for term in terms)
     terms = (*equations.KINETIC, *equations.POTENTIAL, *torques)
     return {
@@ -141,7 +146,7 @@ def _check_lengths() -> Item:
 
 
 def _check_axis_of_inertia() -> Item:
-    """Compare the kinetic energy of a bar turning in its x-y plane, with both moments of inertia."""
+    """Compare the kinetic energy of a bar that turns in its x-y plane with the moments of inertia about y and z."""
     length = 30.0
     height = 8.0
     width = 10.0
@@ -152,7 +157,8 @@ def _check_axis_of_inertia() -> Item:
     x, y, z = np.meshgrid(*grid, indexing="ij")
     energy = float(np.mean(x**2 + y**2)) / 2.0
     about = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
-    # Energy of rotation is half the moment of inertia times the squared rate, here 1.
+    # The energy of rotation is half of the moment of inertia times the squared rate, which is 1
+    # here.
     right = [
         axis for axis, inertia in about.items() if abs(inertia / 2.0 - energy) < TOLERANCE * energy
     ]
@@ -165,7 +171,7 @@ def _check_axis_of_inertia() -> Item:
 
 
 def _check_control_law() -> Item:
-    """Check if the equations contain symbols of a control law."""
+    """Check whether the printed equations contain symbols of a control law."""
     meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _printed_symbols()} | {
         "angle",
         "torque",

@@ -1,1 +1,1 @@
-"""CAN buses with non-blocking calls. Each kind of bus has a module."""
+"""CAN buses, read and written without blocking. Each kind of bus has a module in this package."""

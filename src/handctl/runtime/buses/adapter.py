@@ -1,4 +1,4 @@
-"""Properties of the CAN adapter of an interface, from Linux: driver, USB speed, serial number.
+"""Properties of the CAN adapter behind a network interface, as Linux reports them: driver, USB speed, serial number.
 
 Source: Linux ABI documentation, ``sysfs-bus-usb`` (speed in Mbit/s) and ``sysfs-class-net``.
 """
@@ -9,16 +9,19 @@ from typing import NamedTuple
 NETWORK = Path("/sys/class/net")
 """Folder in which Linux lists the network interfaces."""
 FULL_SPEED = 12
-"""USB full speed [Mbit/s], with one USB frame per millisecond. High speed has one per 125 us."""
+"""USB full speed [Mbit/s], with one USB frame per millisecond.
+
+USB high speed has one micro-frame per 125 us.
+"""
 
 
 class Adapter(NamedTuple):
     """CAN adapter of a network interface.
 
     Attributes:
-        driver: name of the kernel's driver, empty if unknown.
-        usb_speed: speed of the USB device [Mbit/s], 0 without USB.
-        serial: serial number of the USB device, empty without one.
+        driver: name of the Linux driver of the adapter, empty if unknown.
+        usb_speed: speed of the USB device [Mbit/s], 0 for an adapter without USB.
+        serial: serial number of the USB device, empty if the device has none.
     """
 
     driver: str = ""
@@ -27,7 +30,10 @@ class Adapter(NamedTuple):
 
     @property
     def is_full_speed(self) -> bool:
-        """Return True if the adapter is at USB full speed, and exchanges frames once a millisecond."""
+        """Return True if the adapter runs at USB full speed.
+
+        It then exchanges CAN frames only once per millisecond.
+        """
         return 0.0 < self.usb_speed <= FULL_SPEED
 
 
@@ -36,13 +42,13 @@ def read_adapter(name: str, network: Path = NETWORK) -> Adapter | None:
 
     Args:
         name: name of the interface.
-        network: folder of the interfaces.
+        network: folder in which Linux lists the network interfaces.
     """
     device = network / name / "device"
     if not device.exists():
         return None
     driver = device / "driver"
-    # The interface of a USB device is a folder in the folder of the device.
+    # For a USB adapter, this path is the USB interface. Its parent folder is the USB device.
     usb = device.resolve().parent
     speed = _read_text(usb / "speed")
     return Adapter(

@@ -2,10 +2,11 @@
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
-The local bus sends this struct. A CAN socket receives a classical frame into its first 16 bytes.
-Ticks exchange the same identifiers, flags and lengths again and again. The converted heads of a
-batch are therefore cached, and a tick copies only payloads. A head is the first 8 bytes of a
-struct, or the 8 bytes from identifier to length of a record. Source: Linux ``can.h``.
+The local bus sends this struct. For a classical frame, a CAN socket fills only the first 16 bytes
+of the struct. Ticks exchange the same identifiers, flags and lengths again and again. The converted
+heads of each batch are therefore cached, and a tick copies only the payloads. The head of a struct
+is its first 8 bytes. The head of a record is its 8 bytes from identifier to length. Source: Linux
+``can.h``.
 """
 
 import functools
@@ -30,7 +31,7 @@ CACHED_BATCHES = 256
 MAX_CACHED_FRAMES = 128
 """Largest number of frames in a cached batch.
 
-The limit keeps a flood of frames from filling the memory.
+Larger batches are not cached, so that a flood of frames does not fill the memory.
 """
 WORD = np.dtype("<u8")
 PAYLOAD = np.dtype(("<u8", (8,)))
@@ -42,7 +43,10 @@ Words = NDArray[np.uint64]
 
 
 def _payload_masks() -> Words:
-    """Return an array (LONGEST + 1, 8) of masks that select the payload of each length."""
+    """Return an array (MAX_PAYLOAD + 1, 8).
+
+    Row n masks the n payload bytes in the 64-byte data field.
+    """
     masks = np.zeros((MAX_PAYLOAD + 1, MAX_PAYLOAD), np.uint8)
     for length in range(MAX_PAYLOAD + 1):
         masks[length, :length] = 0xFF
@@ -51,9 +55,9 @@ def _payload_masks() -> Words:
 
 MASKS = _payload_masks()
 _LENGTHS = bytes(min(length, MAX_PAYLOAD) for length in range(256))
-"""Table for ``bytes.translate``: length byte of a struct to payload length, at most LONGEST."""
+"""Table for ``bytes.translate``: from the length byte of a struct to the payload length, at most MAX_PAYLOAD."""
 _ERRORS = bytes((highest << 24 & ERROR) != 0 for highest in range(256))
-"""Table for ``bytes.translate``: highest byte of an identifier to 1 for an error frame."""
+"""Table for ``bytes.translate``: from the highest byte of an identifier to 1 for an error frame and 0 for others."""
 
 
 class Received(NamedTuple):
@@ -61,9 +65,9 @@ class Received(NamedTuple):
 
     Attributes:
         heads: (n,) identifier, flags, bus and length of each record.
-        words: number of 8-byte words for the longest payload, at least 1.
-        masks: bits of each payload, (n,) for one word and (n, words) for more. It is None if all
-            payloads are full.
+        words: number of 8-byte words that hold the longest payload of the batch, at least 1.
+        masks: bits that belong to each payload, (n,) for one word and (n, words) for more. It is
+            None if every payload fills all its words.
         errors: True if there is an error frame among the structs.
     """
 
@@ -83,8 +87,8 @@ def _flag_table(mask: int, added: int) -> bytes:
 def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> Received:
     """Convert heads of structs to heads of records.
 
-    The conversion works on columns of bytes, which is faster than numpy for a batch that is not
-    cached.
+    The conversion slices columns of bytes. For a batch that is not cached, this is faster than
+    numpy.
     """
     # Bytes of a head in a struct:  can_id 0..3 | length 4 | flags 5 | reserved 6..7
     # Bytes of a head in a record:  can_id 0..3 | flags  4 | zero  5 | bus 6 | length 7
@@ -97,7 +101,7 @@ def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) ->
     heads[6::8] = bytes((bus,)) * count
     heads[7::8] = lengths
     words = max(1, -(-max(lengths, default=0) // 8))  # rounded up
-    masks = None  # usual case: all payloads are full, and no byte has to be cleared
+    masks = None  # usual case: every payload fills its words, so no byte has to be cleared
     if lengths.count(8 * words) < count:
         masks = MASKS[:, 0] if words == 1 else MASKS[:, :words]
         masks = masks.take(np.frombuffer(lengths, np.uint8), axis=0)
@@ -109,8 +113,8 @@ class Sent(NamedTuple):
 
     Attributes:
         heads: (n,) identifier, length and flags of each struct.
-        words: number of 8-byte words for the longest payload, at least 1.
-        sizes: (n,) size of each struct, ``can_frame`` or ``canfd_frame`` [bytes].
+        words: number of 8-byte words that hold the longest payload of the batch, at least 1.
+        sizes: (n,) bytes to send of each struct: the size of ``can_frame`` or of ``canfd_frame``.
     """
 
     heads: Words
@@ -141,7 +145,7 @@ def _convert_sent(raw: bytes) -> Sent:
 
 
 class Structs:
-    """An array of structs in memory, read and written by columns.
+    """An array of ``struct canfd_frame`` in memory, read and written by columns.
 
     Attributes:
         count: number of structs.
@@ -157,28 +161,28 @@ class Structs:
         self._written = 8
 
     def converted_heads(self, count: int, bus: int, flag_mask: int = 0xFF, added_flags: int = 0) -> Received:
-        """Return the heads of the first structs, converted to records.
+        """Return the heads of the first ``count`` structs, converted to heads of records.
 
         Args:
-            count: number of structs.
-            bus: index of the bus.
+            count: number of structs to convert.
+            bus: index of the bus, written into every head.
             flag_mask: mask of the flags to copy from the structs.
-            added_flags: flags to set in every frame.
+            added_flags: flags to set in every converted head.
         """
         convert = _convert_received if count <= MAX_CACHED_FRAMES else _convert_received.__wrapped__
         return convert(self._heads[:count].tobytes(), bus, flag_mask, added_flags)
 
     def reserved(self, at: int) -> int:
-        """Return the value in the 16 reserved bits of a struct."""
+        """Return the value in the 16 reserved bits of the struct with index ``at``."""
         return int(self._heads[at]) >> 48
 
     def read(self, count: int, heads: Received, t_ns: "int | NDArray[np.int64]") -> Records:
-        """Return the first structs as records.
+        """Return the first ``count`` structs as records.
 
         Args:
-            count: number of structs.
+            count: number of structs to read.
             heads: converted heads of these structs.
-            t_ns: time of reception, for all frames or for each frame [ns].
+            t_ns: time of reception [ns]: one time for all frames, or one for each.
         """
         records: Records = np.zeros(count, RECORD)
         records.setfield(t_ns, np.dtype("<i8"), T_NS_AT)
@@ -193,7 +197,7 @@ class Structs:
         return records
 
     def write(self, frames: Frames) -> Sent:
-        """Write frames into the first structs. The rest of each payload field is set to zero.
+        """Write frames into the first structs. Payload bytes behind the end of a frame are set to zero.
 
         Raises:
             ValueError: a payload is longer than its kind of frame can carry. Nothing is written.
@@ -203,9 +207,7 @@ class Structs:
         convert = _convert_sent if count <= MAX_CACHED_FRAMES else _convert_sent.__wrapped__
         sent = convert(records.getfield(WORD, HEAD_AT).tobytes())
         self._heads[:count] = sent.heads
-        if (
-            sent.words < self._written
-        ):  # longer payloads of the batch before would remain
+        if sent.words < self._written:  # otherwise bytes of longer payloads of the previous batch would remain
             self._data[:, sent.words :] = 0
         self._written = sent.words
         if sent.words == 1:

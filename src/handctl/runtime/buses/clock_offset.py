@@ -1,26 +1,26 @@
-"""Offset from the wall clock to CLOCK_MONOTONIC, for the reception times of frames.
+"""Offset from the wall clock to CLOCK_MONOTONIC. It converts the reception times of CAN frames.
 
-The kernel stamps frames with the wall clock.
+The Linux kernel stamps received frames with the wall clock, and a run uses CLOCK_MONOTONIC.
 
 Both clocks run at the same rate. The offset changes only when the wall clock is set. The bus
-requests a new measurement when a frame has an impossible time stamp. Where reading a clock is a
-system call (user-mode Linux), two readings per tick cost as much as the exchange itself. Source:
-man 2 clock_gettime, man 7 vdso.
+requests a new measurement when a frame has an impossible time stamp. In user-mode Linux each clock
+reading is a system call. Two readings per tick would cost as much there as the exchange of frames,
+so a measurement is used many times. Source: man 2 clock_gettime, man 7 vdso.
 """
 
 import time
 
 USES_PER_MEASUREMENT = 256
-"""Number of uses of each measurement.
+"""Number of times that each measured offset is used before the next measurement.
 
-A small step of the wall clock is noticed after at most this number of uses.
+A small step of the wall clock goes unnoticed for at most this number of uses.
 """
 READINGS_PER_MEASUREMENT = 3
-"""Number of clock readings per measurement."""
+"""Number of clock readings per measurement. The fastest reading counts."""
 
 
 class ClockOffset:
-    """Offset between the clocks, measured every ``USES_PER_MEASUREMENT`` uses."""
+    """Offset between wall clock and CLOCK_MONOTONIC, measured again after ``USES_PER_MEASUREMENT`` uses."""
 
     def __init__(self) -> None:
         """Start without a measurement."""
@@ -41,7 +41,8 @@ class ClockOffset:
     def _measure(self) -> None:
         """Measure the offset.
 
-        The fastest of several readings is used, because a reading may be interrupted.
+        The fastest of several readings is used, because the operating system may interrupt a
+        reading.
         """
         readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(READINGS_PER_MEASUREMENT)]
         before, wall, after = min(readings, key=_reading_duration)
@@ -50,5 +51,5 @@ class ClockOffset:
 
 
 def _reading_duration(reading: tuple[int, int, int]) -> int:
-    """Return the duration of a reading (before, wall clock, after) [ns]."""
+    """Return the duration of a reading, a tuple (time before, wall clock, time after) [ns]."""
     return reading[2] - reading[0]

@@ -16,21 +16,27 @@ class Bus(Protocol):
 
     @property
     def name(self) -> str:
-        """Specification of the bus, also the ``where`` of the bus's events."""
+        """Specification of the bus, such as ``local:demo``.
+
+        Events of the bus carry this text as ``where``.
+        """
         ...
 
     def drain(self) -> Frames:
-        """Return all received frames, oldest first, with bus index and reception time."""
+        """Return the frames received since the last call, oldest first.
+
+        Each has its bus index and reception time.
+        """
         ...
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch and return the number of accepted frames, counted from the first.
 
-        The remaining frames are dropped, because a command must not be sent late.
+        The frames that are not accepted are dropped, because a command must not be sent late.
 
         Args:
-            frames: frames to send. ``Frames`` objects (as from the loop) are sent directly, other
-                sequences are converted first.
+            frames: frames to send. A ``Frames`` object, as the control loop uses, is sent directly.
+                Other sequences are converted first.
 
         Raises:
             ValueError: a payload is longer than its kind of frame can carry.
@@ -38,7 +44,7 @@ class Bus(Protocol):
         ...
 
     def take_events(self) -> list[Event]:
-        """Return the events since the last call, see ``events``."""
+        """Return the events of the bus since the last call, see the module ``events``."""
         ...
 
     def fileno(self) -> int:
@@ -54,7 +60,8 @@ def check_size(frame: Frame) -> None:
     """Raise an error for a payload too long for its kind of frame.
 
     Raises:
-        ValueError: the payload is longer than 8 bytes, or longer than 64 with CAN FD.
+        ValueError: the payload is longer than 8 bytes in a classical frame, or longer than 64 bytes
+            in a CAN FD frame.
     """
     size = len(frame.data)
     if size > 64 or (size > 8 and not frame.flags & FDF):

@@ -1,21 +1,24 @@
-"""Events of a bus as tuples (kind, where, number), collected until the next tick reads them.
+"""Events of a CAN bus as tuples (kind, where, number), collected until the next tick takes them.
 
 Kinds:
 
-- ``enobufs``: frames refused by a full queue, or refused without a reason - ``enetdown``: interface
-down - ``enodev``: interface or hub gone, or reading fails without a reason - ``ebadf``: bus closed
-- ``dropped``: received frames lost before they were read - ``error_frame``, ``error_warning``,
-``error_passive``, ``error_active``, ``bus_off``, ``restarted``: states reported by the CAN
-controller
+- ``enobufs``: a full queue refused frames, or frames were refused for an unknown reason
+- ``enetdown``: the interface is down
+- ``enodev``: the interface or the hub of the simulator has disappeared, or reading fails for an
+  unknown reason
+- ``ebadf``: this program has closed the bus
+- ``dropped``: received frames were lost before this program read them
+- ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``,
+  ``restarted``: states reported by the CAN controller of the interface
 
-A lasting state (``bus_off``, ``error_passive``, ``enodev``) is reported at every call. The fault
-detectors debounce such states in ticks.
+A lasting state (``bus_off``, ``error_passive``, ``enodev``) is reported at every call of ``take``,
+until it ends. The fault detectors count for how many ticks such a state lasts.
 """
 
 import errno
 
 Event = tuple[str, str, int]
-"""Event of a bus: kind, location, and number of occurrences."""
+"""Event of a bus: kind, bus (with a detail), and number of occurrences."""
 
 ERRNO_KINDS = {
     errno.ENOBUFS: "enobufs",
@@ -34,7 +37,10 @@ ERRNO_KINDS = {
 TX_TIMEOUT, LOST_ARBITRATION, CONTROLLER, PROTOCOL, TRANSCEIVER, NO_ACK, BUS_OFF, BUS_ERROR, RESTARTED = (
     1 << bit for bit in range(9)
 )
-"""Class bits in the identifier of an error frame. Source: Linux ``can/error.h``."""
+"""Bits in the identifier of an error frame.
+
+Each bit is a class of errors. Source: Linux ``can/error.h``.
+"""
 CLASS_NAMES = (
     "tx timeout",
     "lost arbitration",
@@ -46,11 +52,12 @@ CLASS_NAMES = (
     "bus error",
     "restarted",
 )
-"""Names of the class bits, lowest bit first."""
+"""Names of these classes of errors, in the order of their bits, lowest bit first."""
 OVERFLOW, TX_OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x03, 0x02, 0x0C, 0x30, 0x40
-"""Masks for data[1] of a CONTROLLER error frame, each with the receive and the transmit bit.
+"""Masks for data[1] of an error frame of class CONTROLLER.
 
-TX_OVERFLOW is the transmit bit alone. Source: Linux ``can/error.h``.
+OVERFLOW, WARNING and PASSIVE each have a receive bit and a transmit bit. TX_OVERFLOW is the
+transmit bit of OVERFLOW. Source: Linux ``can/error.h``.
 """
 
 
@@ -67,10 +74,10 @@ class BusEvents:
         """Add occurrences of an event to its count.
 
         Args:
-            kind: see the module.
+            kind: kind of the event, see the list in the module.
             number: number of occurrences.
-            detail: text to append to ``where``. Events with different details are counted
-                separately.
+            detail: text to append to ``where`` of the event. Events with different details are
+                counted separately.
         """
         key = kind, f"{self.where} {detail}" if detail else self.where
         self._counts[key] = self._counts.get(key, 0) + number
@@ -79,29 +86,32 @@ class BusEvents:
         """Count a failed operation on the bus.
 
         Args:
-            code: errno of the failure. None if unknown.
-            otherwise: kind of event for an unknown or unlisted errno.
+            code: errno of the failure, or None if it is unknown.
+            otherwise: kind of event to count if the errno is unknown or not in ``ERRNO_KINDS``.
             number: number of frames in the failed operation.
         """
         kind = ERRNO_KINDS.get(code or 0, otherwise)
         if ERRNO_KINDS.get(code or 0) == "enodev":
             self.lasting(kind, True)
             return
-        if kind == "enetdown":  # the error states of the controller have ended when the interface is down
+        if kind == "enetdown":  # an interface that is down has no error states
             self.lasting("bus_off", False)
             self.lasting("error_passive", False)
         self.add(kind, number)
 
     def lasting(self, kind: str, present: bool) -> None:
-        """Set or end a lasting state. Each call of ``take`` reports every lasting state."""
+        """Set or end a lasting state of the bus.
+
+        Each call of ``take`` reports every lasting state.
+        """
         (self._lasting.add if present else self._lasting.discard)(kind)
 
     def error_frame(self, can_id: int, data: bytes) -> None:
         """Decode an error frame from the kernel, and count its events.
 
         Args:
-            can_id: identifier with the class bits.
-            data: payload. data[1] is the state of the controller.
+            can_id: identifier of the error frame, with the bits of its error classes.
+            data: payload of the error frame. data[1] is the state of the CAN controller.
         """
         names = [name for bit, name in enumerate(CLASS_NAMES) if can_id >> bit & 1]
         self.add("error_frame", 1, ", ".join(names) or "unknown class")
@@ -115,7 +125,7 @@ class BusEvents:
             self._count_controller_status(data[1])
 
     def _count_controller_status(self, status: int) -> None:
-        """Count the events in data[1] of a CONTROLLER error frame."""
+        """Count the events that data[1] of an error frame of class CONTROLLER reports."""
         if status & OVERFLOW:
             self.add("error_frame", 1, "controller overflow")
         if status & TX_OVERFLOW:
@@ -128,7 +138,7 @@ class BusEvents:
             self.lasting("error_passive", bool(status & PASSIVE))
 
     def take(self) -> list[Event]:
-        """Return the events since the last call and the lasting states."""
+        """Return the events since the last call, followed by the lasting states."""
         if not self._counts and not self._lasting:
             return []
         events = [(kind, where, number) for (kind, where), number in self._counts.items()]

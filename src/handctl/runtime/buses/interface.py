@@ -1,6 +1,6 @@
-"""Commands to set up a CAN interface for a hand, and a check of its bit rates.
+"""Shell commands that set up a CAN interface for a hand, and a check of the bit rates of the interface.
 
-``link`` reads the state of an interface.
+The module ``link`` reads the state of an interface.
 """
 
 import socket
@@ -10,12 +10,12 @@ from handctl.runtime.buses.link import MTU_FD, Link, MissingTool, read_link
 Command = tuple[str, ...]
 """A shell command as a list of words."""
 QUEUE_LENGTH = 128
-"""Length of the transmit queue [frames].
+"""Length of the transmit queue of an interface that these commands set up [frames].
 
-The default of 10 frames is too short for one tick of a large hand.
+The Linux default of 10 frames is too short for the frames that a large hand sends in one tick.
 """
 RESTART_MS = 100
-"""Delay of the restart after bus-off [ms]."""
+"""Delay after which an interface restarts from the state bus-off [ms]."""
 
 
 def interface_names() -> tuple[str, ...]:
@@ -24,13 +24,13 @@ def interface_names() -> tuple[str, ...]:
 
 
 def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists: bool) -> tuple[Command, ...]:
-    """Return the shell commands for root that set up an interface for a hand.
+    """Return the shell commands that set up an interface for a hand. They need root rights.
 
     Args:
-        channel: name of the interface. ``vcan...`` is virtual.
+        channel: name of the interface. A name that begins with ``vcan`` is a virtual interface.
         bitrate: bit rate in the hand file [bit/s].
         data_bitrate: bit rate of the data phase in the hand file [bit/s]. None for a classical bus.
-        exists: True if the interface exists.
+        exists: True if the interface exists. A virtual interface is added otherwise.
     """
     link = ("ip", "link", "set", channel)
     queue = (*link, "txqueuelen", str(QUEUE_LENGTH))
@@ -47,7 +47,7 @@ def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists
 
 
 def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
-    """Return one line about a wrong bit rate of an interface, empty if the rates are right or unknown.
+    """Return a message about a wrong bit rate of an interface, empty if its rates are right or unknown.
 
     Args:
         channel: name of the interface.
@@ -62,7 +62,7 @@ def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
 
 
 def rate_difference(channel: str, link: Link, bitrate: int, data_bitrate: int | None) -> str:
-    """Return one line about a wrong bit rate in ``link``, empty for an interface without bit timing."""
+    """Return a message about a wrong bit rate in ``link``, empty if the rates are right or the interface has none."""
     if link.bitrate is None:
         return ""
     if link.bitrate != bitrate:

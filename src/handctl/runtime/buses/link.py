@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 MTU_FD = 72
-"""MTU of an interface that carries CAN FD, the size of ``struct canfd_frame`` [bytes]."""
+"""MTU of an interface that carries CAN FD [bytes]. It is the size of ``struct canfd_frame``."""
 TIMEOUT_S = 5.0
-"""Longest wait for ``ip`` [s]."""
+"""Longest wait for the program ``ip`` to answer [s]."""
 
 
 class Link(NamedTuple):
@@ -19,17 +19,19 @@ class Link(NamedTuple):
 
     Attributes:
         up: True if the interface is up.
-        kind: ``can``, ``vcan``, ...
+        kind: kind of the interface, such as ``can`` or ``vcan``.
         queue: length of the transmit queue (txqueuelen) [frames].
         fd: True if the interface carries CAN FD.
-        bitrate: nominal bit rate [bit/s]. None without bit timing, as on vcan.
-        data_bitrate: bit rate of the data phase [bit/s]. None without bit timing.
-        state: state of the CAN controller, such as ``ERROR-ACTIVE``. Empty without a controller.
+        bitrate: nominal bit rate [bit/s]. None for an interface without bit timing, such as vcan.
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for an interface without
+            it.
+        state: state of the CAN controller, such as ``ERROR-ACTIVE``. Empty for an interface without
+            a CAN controller.
         sending: transmit error counter of the CAN controller.
         receiving: receive error counter of the CAN controller.
-        restart_ms: delay of the restart after bus-off [ms]. It is 0 for a manual restart, None
-            without a controller.
-        counts: number of events by kind since the interface was created: bus_error, error_passive,
+        restart_ms: delay after which the interface restarts from bus-off [ms]. It is 0 if a person
+            must restart it, and None without a CAN controller.
+        counts: number of events since the interface was created, by kind: bus_error, error_passive,
             bus_off, tx_dropped, ...
     """
 
@@ -47,14 +49,14 @@ class Link(NamedTuple):
 
 
 class MissingTool(Exception):  # noqa: N818 - tells that a program is missing
-    """The program ``ip`` is not installed or does not answer in time."""
+    """The program ``ip`` is not installed, or does not answer in time."""
 
 
 def read_link(name: str) -> Link | None:
     """Return the state of an interface, or None if the interface does not exist.
 
     Raises:
-        MissingTool: iproute2 is not installed or does not answer.
+        MissingTool: the program ``ip`` of iproute2 is not installed, or does not answer in time.
     """
     command = ["ip", "-details", "-statistics", "-json", "link", "show", "dev", name]
     try:
@@ -65,7 +67,7 @@ def read_link(name: str) -> Link | None:
 
 
 def parse_link(text: str) -> Link | None:
-    """Return the state parsed from the output of ``ip``, or None if the output lists no interface."""
+    """Return the state of the interface in the output of ``ip``, or None if the output lists no interface."""
     try:
         (link,) = json.loads(text)
     except ValueError:
@@ -89,5 +91,5 @@ def parse_link(text: str) -> Link | None:
 
 
 def _count_dropped(stats: dict[str, Any]) -> dict[str, int]:
-    """Return the number of dropped frames in both directions."""
+    """Return the numbers of dropped received and sent frames, by kind of event."""
     return {f"{side}_dropped": int(stats.get(side, {}).get("dropped", 0)) for side in ("rx", "tx")}

@@ -1,12 +1,12 @@
-"""The local bus: a Unix stream socket to the hub of a simulator.
+"""The local bus ``local:NAME``: a Unix stream socket to the hub, the part of a simulator that serves the bus.
 
-Each frame is one record. A batch of frames needs one system call.
+Each CAN frame is one record on the socket. A batch of frames needs one system call.
 
     can_id 32 | length 8 | flags 8 | dropped 16 | data 64 x 8
 
-A record has 72 bytes and the layout of ``struct canfd_frame`` of Linux. Its two reserved bytes
+A record has 72 bytes, in the layout of ``struct canfd_frame`` of Linux. Its two reserved bytes
 count the frames that the hub has dropped for this receiver. The socket does not report reception
-times. Each frame carries the time at which the host read it.
+times, so each frame carries the time at which the host read it.
 """
 
 import socket
@@ -24,28 +24,31 @@ from handctl.runtime.paths import local_bus_path
 from handctl.runtime.peers import is_served_by_us
 
 RECORD = struct.Struct("<IBBH64s")
-"""One record: identifier with flag bits, length, flags, dropped frames modulo 65536, payload."""
+"""One record: identifier with flag bits, length, flags, number of dropped frames modulo 65536, payload."""
 SOCKET_BUFFER_BYTES = 1 << 20
 """Size of the socket buffer requested for each direction [bytes]."""
 MAX_RECORDS = 4096
 """Largest number of records per read."""
 SEND_RECORDS = 64
-"""Initial size of the send buffer [records]."""
+"""Initial size of the send buffer [records]. The buffer grows for larger batches."""
 QUEUE_REPORT = 0xE0000000
-"""Identifier of a queue report, which a hub with a simulated wire sends.
+"""Identifier of a queue report: the hub reports the transmit queue of a simulated wire to its client.
 
-A hub without a wire sends no report, and its clients have no queue.
+A hub that simulates no wire sends no queue report, and limits no queue.
 """
 QUEUE = struct.Struct("<II")
-"""Payload of a queue report: number of this client's frames sent so far (modulo 2**32), queue capacity."""
+"""Payload of a queue report: number of this client's frames that have left the queue (modulo 2**32), queue capacity."""
 MAX_READS = 4
-"""Largest number of reads per drain. The limit keeps a flood of frames from delaying a tick."""
+"""Largest number of reads in one ``drain``.
+
+The limit keeps a flood of frames from delaying a tick.
+"""
 CONNECT_TIMEOUT_S = 2.0
-"""Longest wait for the hub [s]."""
+"""Longest wait for the hub to accept the connection [s]."""
 
 
 def connect(name: str) -> socket.socket:
-    """Connect to the hub of ``local:NAME``, and return the socket.
+    """Connect to the hub that serves ``local:NAME``, and return the socket.
 
     Raises:
         BusError: no hub serves this bus, or the hub belongs to another user.
@@ -69,7 +72,7 @@ def connect(name: str) -> socket.socket:
 
 
 class LocalBus:
-    """Client of a local bus, see ``contract.Bus``.
+    """Client of a local bus, with the interface ``contract.Bus``.
 
     Attributes:
         name: specification of the bus.
@@ -83,8 +86,8 @@ class LocalBus:
             channel: name of the bus.
             index: index of the bus in the hand's list.
             stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
-            max_records: largest number of records per read. With 1 the socket stays readable while
-                a frame waits.
+            max_records: largest number of records per read. With 1, the socket stays readable as
+                long as a frame waits to be read.
 
         Raises:
             BusError: no hub of this name is running.
@@ -126,7 +129,10 @@ class LocalBus:
         return join_frames(parts)
 
     def _read(self, buffer: memoryview) -> int:
-        """Read into a buffer, and return the number of bytes, 0 if no data have arrived."""
+        """Read from the socket into a buffer.
+
+        Return the number of bytes, 0 if no data have arrived.
+        """
         if self._closed:
             return 0
         try:
@@ -135,19 +141,19 @@ class LocalBus:
             return 0
         except OSError:
             size = 0
-        if size == 0:  # end of the stream: the hub has closed it
+        if size == 0:  # the stream has ended: the hub has closed it
             self._report_lost_hub()
         return size
 
     def _report_lost_hub(self) -> None:
-        """Report from now on that the hub has ended."""
+        """Report in every call of ``take_events`` from now on that the hub has ended."""
         self._closed = True
         self._events.lasting("enodev", True)
 
     def _complete_records(self, filled: int) -> Frames:
-        """Return the complete records in the first ``filled`` bytes.
+        """Return the frames in the complete records of the first ``filled`` bytes of the buffer.
 
-        The beginning of an incomplete record is kept for the next read.
+        If the last record is incomplete, its beginning stays in the buffer for the next read.
         """
         count, self._partial = divmod(filled, SIZE)
         if not count:
@@ -167,7 +173,7 @@ class LocalBus:
     def receive_one(self) -> Frame | None:
         """Return the next frame as an object, or None if no frame has arrived.
 
-        For programs that process single messages.
+        This method is for programs that process one message at a time.
         """
         if self.early:
             frame = self.early[0]
@@ -185,20 +191,26 @@ class LocalBus:
         return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))
 
     def _count_dropped(self, lost: int) -> None:
-        """Count the frames dropped by the hub since the last record, from the hub's counter modulo 65536."""
+        """Count the frames dropped by the hub since the last record.
+
+        ``lost`` is the hub's counter, modulo 65536.
+        """
         if lost != self._dropped:
             self._events.add("dropped", (lost - self._dropped) & 0xFFFF)
             self._dropped = lost
 
     def _take_control(self, can_id: int, data: bytes) -> None:
-        """Process a queue report from the hub, or count an error frame."""
+        """Process a frame that carries no data: a queue report from the hub, or an error frame."""
         if can_id == QUEUE_REPORT:
             self._left_queue, self._depth = QUEUE.unpack(data)
         else:
             self._events.error_frame(can_id, data)
 
     def _frames_that_fit(self, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Return the leading frames that fit in the queue. The remaining frames are refused."""
+        """Return the first frames, as many as fit in the queue.
+
+        The others are counted as refused.
+        """
         if len(frames) > self._free_queue_places():
             self.early = self.drain()  # a queue report may have arrived since the last read
         free = self._free_queue_places()
@@ -207,7 +219,7 @@ class LocalBus:
         return frames[:free]
 
     def _free_queue_places(self) -> int:
-        """Return the number of frames that fit in the queue of the simulated wire."""
+        """Return the number of frames that still fit in the queue of the simulated wire."""
         waiting = self._sent - self._left_queue & 0xFFFFFFFF  # the hub counts modulo 2**32
         return max(0, self._depth - waiting)
 
@@ -246,11 +258,11 @@ class LocalBus:
         return self._out[: SIZE * len(frames)]
 
     def _keep_partial_record(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
-        """Keep the unsent part of a partly sent record, and drop the records after it.
+        """Store the unsent part of a partly sent record for the next call, and drop the records after it.
 
         Args:
-            waiting: unsent part of the batch before, followed by this batch.
-            sent: number of bytes accepted by the socket.
+            waiting: unsent part of the previous batch, followed by this batch.
+            sent: number of bytes of ``waiting`` accepted by the socket.
             frames: number of frames in this batch.
 
         Returns:

@@ -1,8 +1,8 @@
 """Many datagrams in one system call: ``sendmmsg`` and ``recvmmsg`` of Linux on reused buffers.
 
-The ``socket`` module of Python has no such call. One call per frame costs more than everything else
-in the exchange of a tick. Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3
-cmsg.
+The ``socket`` module of Python has no such call. With one system call per frame, these calls would
+cost more than all other work of an exchange. Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS,
+SO_RXQ_OVFL), man 3 cmsg.
 """
 
 import ctypes
@@ -17,7 +17,7 @@ SO_RCVBUFFORCE = 33
 SO_TIMESTAMPNS = 35
 SO_RXQ_OVFL = 40
 _SOL_SOCKET = int(socket.SOL_SOCKET)
-"""Source: Linux ``asm-generic/socket.h``."""
+"""Level of these socket options. Source of their numbers: Linux ``asm-generic/socket.h``."""
 
 
 class _Iovec(ctypes.Structure):
@@ -47,7 +47,7 @@ class _Header(ctypes.Structure):
 
 
 CONTROL = struct.Struct("@NiillNiiI12x")
-"""Control messages of a datagram, in native layout.
+"""Control messages added to a received datagram by the kernel, in native layout.
 
     length | level | SO_TIMESTAMPNS | s | ns | length | level | SO_RXQ_OVFL | dropped 32 | padding
     12
@@ -55,16 +55,16 @@ CONTROL = struct.Struct("@NiillNiiI12x")
 STAMP_AT = struct.calcsize("@Nii")
 """Offset of the seconds in the control messages [bytes]. The nanoseconds come next."""
 STAMPED_LENGTH = struct.calcsize("@Niill")
-"""Length of the control messages with a time stamp [bytes].
+"""Length of the control messages if they have a time stamp and no loss counter [bytes].
 
-Control messages with only a counter are shorter.
+Control messages with only a loss counter are shorter.
 """
 COUNTED_LENGTH = struct.calcsize("@NiillNiiI")
-"""Length of the control messages with time stamp and counter [bytes]."""
+"""Length of the control messages if they have a time stamp and a loss counter [bytes]."""
 _TAIL = ctypes.sizeof(_Header) - _Header.size.offset - ctypes.sizeof(ctypes.c_uint)
 _GAP = _Header.size.offset - _Message.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
 _HEADER = struct.Struct(f"@{_Message.controllen.offset}xN{_GAP}xI{_TAIL}x")
-"""Values written by the kernel into a header: length of the control messages, length of the datagram."""
+"""Values written into a header by the kernel: length of the control messages, length of the datagram."""
 _libc = ctypes.CDLL(None, use_errno=True)
 for _call in ("sendmmsg", "recvmmsg"):
     getattr(_libc, _call).restype = ctypes.c_int
@@ -76,16 +76,16 @@ SECOND_NS = np.int64(1_000_000_000)
 Datagram = tuple[int, int, int]
 """Received datagram: size [bytes], CLOCK_REALTIME [ns] (0 if missing), datagrams lost so far modulo 2**32.
 
-The kernel omits the counter until the first loss. A missing counter counts as 0.
+The kernel omits the loss counter until the first loss. A missing counter counts as 0.
 """
 
 
 class Slots:
-    """Buffers of equal size, with the headers that point at these buffers.
+    """Buffers of equal size for datagrams, with the kernel headers that point at these buffers.
 
     Attributes:
         count: number of slots.
-        size: size of a slot [bytes].
+        size: size of each slot [bytes].
         data: memory of all slots.
         control: memory of all control messages.
         headers: address of the first header.
@@ -126,11 +126,11 @@ class Slots:
         self._last_size: tuple[bytes, int] = (b"", 0)
 
     def common_size(self, count: int) -> int:
-        """Return the common size of the first datagrams [bytes], or 0 if each must be read separately.
+        """Return the common size of the first ``count`` datagrams [bytes], or 0 if each must be read separately.
 
-        The messages have a common size if all of them have the same length and a time stamp, and
-        none has a loss counter. The kernel usually writes the same bytes into the headers in every
-        tick, so the result for the last bytes is cached.
+        The datagrams have a common size if all have the same length and a time stamp, and none has
+        a loss counter. The kernel usually writes the same bytes into the headers in every tick. The
+        result for the last bytes is therefore cached.
         """
         raw = bytes(self._view[: count * _HEADER.size])
         if raw != self._last_size[0]:
@@ -140,7 +140,7 @@ class Slots:
         return self._last_size[1]
 
     def datagrams(self, count: int) -> list[Datagram]:
-        """Return size, time stamp, and loss counter for each of the first datagrams."""
+        """Return size, time stamp, and loss counter for each of the first ``count`` datagrams."""
         sizes = _HEADER.iter_unpack(self._view[: count * _HEADER.size])
         control = CONTROL.iter_unpack(self.control[: count * CONTROL.size])
         result = []
@@ -151,28 +151,31 @@ class Slots:
         return result
 
     def renew(self, count: int) -> None:
-        """Reset the first headers for the next reception."""
+        """Reset the first ``count`` headers for the next reception."""
         end = count * _HEADER.size
         self._view[:end] = self._fresh[:end]
 
     def stamps(self, count: int) -> NDArray[np.int64]:
-        """Return the CLOCK_REALTIME stamps of the first datagrams [ns]. Each must have a stamp."""
+        """Return the CLOCK_REALTIME stamps of the first ``count`` datagrams [ns].
+
+        Each must have a stamp.
+        """
         times: NDArray[np.int64] = self._seconds[:count] * SECOND_NS
         times += self._nanoseconds[:count]
         return times
 
     def set_lengths(self, lengths: NDArray[np.uint64]) -> None:
-        """Set the number of bytes to send from each of the first slots."""
+        """Set the number of bytes to send from each of the first slots, one number per slot."""
         self._sizes[: len(lengths)] = lengths
 
 
 def receive(fd: int, slots: Slots) -> int:
     """Receive the waiting datagrams, at most one per slot, and return the number received.
 
-    Call ``Slots.renew`` before the next call.
+    Call ``Slots.renew`` before the slots receive again.
 
     Raises:
-        OSError: ``recvmmsg`` failed, except with ``BlockingIOError``.
+        OSError: ``recvmmsg`` failed. If no datagram waits, no error is raised.
     """
     count: int = _libc.recvmmsg(fd, slots.headers, slots.count, socket.MSG_DONTWAIT, None)
     if count >= 0:
@@ -187,7 +190,7 @@ def send(fd: int, slots: Slots, first: int, end: int) -> tuple[int, int]:
     """Send the slots from ``first`` up to but not including ``end``, without blocking.
 
     Returns:
-        the number of accepted datagrams, and the errno for the first refused one (0 if all were
+        the number of accepted datagrams, and the errno of the first refused datagram (0 if all were
         accepted).
     """
     at = first

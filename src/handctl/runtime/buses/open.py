@@ -1,4 +1,4 @@
-"""Specification and opening of a bus: ``local:NAME``, ``socketcan:can0``, ``INTERFACE:CHANNEL``."""
+"""Opening of a CAN bus by its specification: ``local:NAME``, ``socketcan:can0``, or ``INTERFACE:CHANNEL``."""
 
 import sys
 from collections.abc import Sequence
@@ -7,9 +7,9 @@ from handctl.errors import ConfigError
 from handctl.runtime.buses.contract import Bus, Stamp
 
 SIMULATED_PREFIXES = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
-"""Prefixes of buses without real motors.
+"""Prefixes in the specifications of buses that cannot have real motors.
 
-On such a bus time may be scaled, and motion needs no confirmation.
+On such a bus the time of a run may be scaled, and motion needs no confirmation by the operator.
 """
 
 
@@ -19,7 +19,10 @@ def real_buses(specs: Sequence[str]) -> list[str]:
 
 
 def _monotonic(t_ns: int) -> int:
-    """Return a CLOCK_MONOTONIC time unchanged, as conversion to the run's time."""
+    """Return a CLOCK_MONOTONIC time unchanged.
+
+    It is the conversion for programs without a run's time.
+    """
     return t_ns
 
 
@@ -27,8 +30,8 @@ def check_spec(spec: str) -> None:
     """Raise an error for an invalid bus specification, before any bus is opened.
 
     Raises:
-        ConfigError: the kind or the channel is missing, or the name of a local bus has characters
-            other than those of a plain name.
+        ConfigError: the kind or the channel is missing, or the name of a local bus has a slash or
+            begins with a dot.
     """
     kind, _, channel = spec.partition(":")
     if not kind or not channel or "=" in kind:
@@ -42,8 +45,8 @@ def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = Non
     """Open a bus.
 
     Args:
-        spec: ``local:NAME`` (simulator on this machine), ``socketcan:NAME`` (Linux), or any other python-can
-            ``INTERFACE:CHANNEL``.
+        spec: ``local:NAME`` (simulator on this machine), ``socketcan:NAME`` (Linux), or
+            ``INTERFACE:CHANNEL`` of python-can.
         index: index of the bus in the hand's list, copied into every frame.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for a classical bus.
@@ -51,7 +54,8 @@ def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = Non
 
     Raises:
         ConfigError: ``spec`` is not a valid bus specification.
-        BusError: the bus cannot be opened. The message has the command to correct this.
+        BusError: the bus cannot be opened. The message contains a command or advice to correct
+            this.
     """
     check_spec(spec)
     kind, _, channel = spec.partition(":")

@@ -1,8 +1,8 @@
-"""All other CAN interfaces, through python-can.
+"""CAN buses of all interfaces supported by python-can.
 
-Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. The origin of
-python-can's time stamps differs between interfaces. Frames therefore carry the time at which the
-host read each frame.
+Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. The zero of
+python-can's time stamps differs between interfaces. Each frame therefore carries the time at which
+the host read it.
 """
 
 import time
@@ -18,7 +18,10 @@ from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
 
 MAX_FRAMES = 4096
-"""Largest number of frames per drain. The limit keeps a flood of frames from delaying a tick."""
+"""Largest number of frames in one ``drain``.
+
+The limit keeps a flood of frames from delaying a tick.
+"""
 IDENTIFIER = 0x1FFFFFFF
 """Mask of the 29 bits of an identifier, without flag bits."""
 
@@ -27,7 +30,7 @@ def frame_of(message: can.Message, index: int, t_ns: int) -> Frame:
     """Return a python-can message as a frame.
 
     Args:
-        message: classical or FD, data or remote.
+        message: classical or CAN FD message, with data or a remote request.
         index: index of the bus.
         t_ns: time of reception [ns].
     """
@@ -41,7 +44,7 @@ def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
     """Return a frame as a python-can message.
 
     Args:
-        frame: classical or FD, data or remote.
+        frame: classical or CAN FD frame, with data or a remote request.
         timestamp: time stamp of the message [s].
     """
     remote = bool(frame.can_id & REMOTE)
@@ -82,7 +85,7 @@ def open_can(interface: str, channel: str, bitrate: int, data_bitrate: int | Non
 
 
 class PythonCanBus:
-    """A python-can bus, see ``contract.Bus``."""
+    """A python-can bus, with the interface ``contract.Bus``."""
 
     def __init__(
         self, interface: str, channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: Stamp
@@ -115,7 +118,7 @@ class PythonCanBus:
             except (can.CanError, OSError) as error:
                 self._events.count_failure(_errno_of(error), "enodev")
                 break
-            except (ValueError, IndexError):  # slcan raises these for characters that are no frame
+            except (ValueError, IndexError):  # slcan raises these errors if it cannot decode the received characters
                 self._events.add("error_frame", 1, "garbled")
                 continue
             if message is None:
@@ -124,10 +127,10 @@ class PythonCanBus:
         return frames_as_records(frames)
 
     def _take_message(self, frames: list[Frame], message: can.Message) -> None:
-        """Append a received message as a frame. An error frame is counted instead."""
+        """Append a received message to ``frames``, or count it as an event if it is an error frame."""
         if message.is_error_frame:
             self._events.error_frame(message.arbitration_id, bytes(message.data))
-        elif message.is_rx:  # gs_usb and cantact also return the sent frames
+        elif message.is_rx:  # the interfaces gs_usb and cantact also return the frames that this host sent
             frames.append(frame_of(message, self._index, self._stamp(time.monotonic_ns())))
 
     def send(self, frames: Sequence[Frame]) -> int:
@@ -146,7 +149,7 @@ class PythonCanBus:
         return self._events.take()
 
     def fileno(self) -> int:
-        """Return the file descriptor that becomes readable when a frame arrives. -1 if there is none."""
+        """Return a file descriptor that becomes readable when a frame arrives, or -1 if the interface has none."""
         try:
             return self._bus.fileno()
         except NotImplementedError:
@@ -158,9 +161,9 @@ class PythonCanBus:
 
 
 def _errno_of(error: Exception) -> int | None:
-    """Return the errno of a python-can error, or None if it has none.
+    """Return the errno of a python-can error, or None if the error carries none.
 
-    The number is in ``error_code`` or in the cause of the error.
+    The errno is in the error, in its ``error_code``, or in its cause.
     """
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     if code is None and isinstance(error.__cause__, OSError):

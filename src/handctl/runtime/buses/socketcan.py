@@ -1,6 +1,7 @@
-"""SocketCAN of Linux, classical and FD, on a raw socket.
+"""CAN bus of the Linux kernel (SocketCAN) on a raw socket, for classical frames and CAN FD.
 
-A batch of frames needs one system call. The kernel stamps received frames.
+A batch of frames needs one system call. The kernel adds the time of reception to each received
+frame.
 """
 
 import fcntl
@@ -25,39 +26,52 @@ from handctl.runtime.buses.interface import wrong_rate
 MAX_FRAMES_PER_CALL = 128
 """Largest number of frames per system call."""
 MAX_READS = 64
-"""Largest number of reads per drain. The limit keeps a flood of frames from delaying a tick."""
+"""Largest number of reads in one ``drain``.
+
+The limit keeps a flood of frames from delaying a tick.
+"""
 RECEIVE_BUFFER = 4 << 20
-"""Size of the receive buffer [bytes]."""
+"""Size of the receive buffer requested from the kernel [bytes]."""
 SEND_BUFFER = 32 << 10
 """Size of the send buffer [bytes]. The buffer is small, because a command must not be sent late.
 
 About 80 frames fit in the buffer.
 """
 MAX_STAMP_STEP_NS = 20_000_000
-"""Largest step between two time stamps accepted without reading the clock [ns].
+"""Largest step from one time stamp to the next that is accepted without reading the clock [ns].
 
-A larger step means silence on the bus, or a change of the wall clock. A smaller step of the wall
-clock is noticed at the next measurement of the clock offset.
+After a larger step, either the bus was silent or the wall clock was set. If the wall clock is set
+by less, the next measurement of the clock offset notices it.
 """
 CAN_RAW_ERR_FILTER, ALL_ERRORS = 2, 0x1FFFFFFF
-"""Source: Linux ``can/raw.h``, ``can/error.h``."""
+"""Socket option that selects error frames, and the mask of all their classes.
+
+Source: Linux ``can/raw.h``, ``can/error.h``.
+"""
 SIOCGIFFLAGS, SIOCGIFMTU, SIOCGIFTXQLEN, IFF_UP = 0x8913, 0x8921, 0x8942, 1
-"""Source: Linux ``sockios.h``, ``if.h``."""
+"""Requests to the kernel for flags, MTU and queue length of an interface, and the flag of an interface that is up.
+
+Source: Linux ``sockios.h``, ``if.h``.
+"""
 MIN_QUEUE_FRAMES = 32
-"""Shortest accepted transmit queue [frames]. 11 motors and SYNC are sent together, and the default length is 10."""
+"""Shortest accepted transmit queue [frames].
+
+A tick sends the frames of 11 motors and a SYNC together, and the default length of the queue is 10
+frames.
+"""
 
 
 class SocketCanBus:
-    """Raw CAN socket, see ``contract.Bus``."""
+    """Raw CAN socket, with the interface ``contract.Bus``."""
 
     def __init__(self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: Stamp) -> None:
-        """Use an open socket.
+        """Set up an open socket for use as a bus.
 
         Args:
-            link: raw CAN socket, or any datagram socket with the same structs.
+            link: raw CAN socket, or a datagram socket that carries the same structs.
             name: specification of the bus.
             index: index of the bus in the hand's list.
-            fd_mode: True if the socket receives FD frames.
+            fd_mode: True if the socket receives CAN FD frames.
             stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
         """
         _prepare(link)
@@ -94,8 +108,9 @@ class SocketCanBus:
     def _convert_datagrams(self, count: int) -> Frames:
         """Return the received datagrams as frames.
 
-        Usually all datagrams are of one kind, and each time stamp follows shortly after the last.
-        Such datagrams are converted as one batch, all others singly.
+        Usually all datagrams are of one kind (classical or CAN FD), and their time stamps follow
+        each other closely. Such datagrams are converted as one batch. All others are converted
+        individually.
         """
         size = self._in.common_size(count)
         frames = self._take_batch(count, FDF if size == SIZE else 0) if size else None
@@ -105,9 +120,9 @@ class SocketCanBus:
         return frames
 
     def _take_batch(self, count: int, fd_flag: int) -> Frames | None:
-        """Return the frames of a batch of one kind, or None if the batch must be converted singly.
+        """Return the frames of a batch of one kind, or None if they must be converted individually.
 
-        An error frame or a doubtful time stamp requires conversion one by one.
+        A batch with an error frame or a doubtful time stamp is converted individually.
         """
         heads = self._structs.converted_heads(count, self._index, 0xFF if fd_flag else 0, fd_flag)
         if heads.errors:
@@ -122,7 +137,7 @@ class SocketCanBus:
             return None
         stamp = self._stamp
         start = stamp(first)
-        if stamp(last) - start == last - first:  # the run's time is neither scaled nor paused here
+        if stamp(last) - start == last - first:  # the run's time is neither scaled nor paused in this interval
             times += start - first
         else:
             times = np.array([stamp(t_ns) for t_ns in each])
@@ -130,9 +145,9 @@ class SocketCanBus:
         return Frames(self._structs.read(count, heads, times))
 
     def _take_each(self, datagrams: list[mmsg.Datagram], now: int) -> Frames:
-        """Return frames of any kind, converted one by one.
+        """Return frames of any kind, converted individually.
 
-        Error frames and lost frames are counted.
+        Error frames and lost frames are counted as events instead.
         """
         stamp = self._stamp
         earliest = self._latest
@@ -142,7 +157,7 @@ class SocketCanBus:
         frames = Frames(self._structs.read(count, self._structs.converted_heads(count, self._index), 0))
         is_data = np.ones(count, bool)
         for i, ((size, realtime, dropped), frame) in enumerate(zip(datagrams, frames, strict=True)):
-            if dropped != self._dropped and dropped:  # 0 means not reported
+            if dropped != self._dropped and dropped:  # 0 means that the kernel reported no count
                 self._events.add("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
             if frame.can_id & ERROR:
@@ -152,7 +167,7 @@ class SocketCanBus:
             frames.records["flags"][i] = frame.flags | FDF if size == SIZE else 0
             t_ns = realtime + offset
             if not earliest <= t_ns <= now:
-                t_ns = now  # the stamp is missing, or the wall clock was set meanwhile
+                t_ns = now  # the time stamp is missing, or the wall clock was set meanwhile
             stamps.append(stamp(t_ns))
             self._latest = max(self._latest, t_ns)
         records = frames.records[is_data]
@@ -187,12 +202,12 @@ class SocketCanBus:
 
 
 def _prepare(link: socket.socket) -> None:
-    """Set buffer sizes, receive time stamps, and the counter of lost frames of a socket."""
+    """Set the buffer sizes of a socket, and switch on its receive time stamps and its counter of lost frames."""
     link.setblocking(False)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_TIMESTAMPNS, 1)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RXQ_OVFL, 1)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-    try:  # only root may exceed net.core.rmem_max
+    try:  # only root may request a buffer larger than net.core.rmem_max
         link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RCVBUFFORCE, RECEIVE_BUFFER)
     except PermissionError:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
@@ -205,12 +220,14 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
         channel: name of the interface. The interface must be up.
         index: index of the bus in the hand's list.
         bitrate: required nominal bit rate [bit/s].
-        data_bitrate: required rate of the data phase of CAN FD [bit/s]. None for a classical bus.
+        data_bitrate: required bit rate of the data phase of CAN FD [bit/s]. None for a classical
+            bus.
         stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
 
     Raises:
-        BusError: the kernel has no SocketCAN, or the interface is missing, is down, is not in the
-            required FD mode, is set to another bit rate, or has too short a queue.
+        BusError: the kernel has no SocketCAN, or the interface is missing or down, is not in CAN FD
+            mode although the hand needs it, has another bit rate, or has too short a transmit
+            queue.
     """
     name = f"socketcan:{channel}"
     fd_mode = data_bitrate is not None
@@ -235,7 +252,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
 
 
 def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
-    """Return the problem of an existing interface in words, empty if the interface can be used."""
+    """Return a message about the problem of an existing interface, empty if the interface can be used."""
     if not _read_interface_number(link, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"
     if fd_mode and _read_interface_number(link, channel, SIOCGIFMTU) < SIZE:
@@ -246,15 +263,16 @@ def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
 
 
 def _read_interface_number(link: socket.socket, channel: str, request: int) -> int:
-    """Read a number of an interface from the kernel, in the socket's network namespace."""
-    # struct ifreq: name 16 bytes | flags 16 bits, or mtu or queue length 32 bits | padding
+    """Request a number of an interface from the kernel, in the socket's network namespace."""
+    # Layout of struct ifreq: name 16 bytes | flags 16 bits, or MTU 32 bits, or queue length 32 bits
+    # | padding
     answer = fcntl.ioctl(link, request, struct.pack("=16sI20x", channel.encode(), 0))
     (number,) = struct.unpack_from("=H" if request == SIOCGIFFLAGS else "=i", answer, 16)
     return int(number)
 
 
 def setup_command(channel: str, bitrate: int, data_bitrate: int | None, exists: bool = False) -> str:
-    """Return the shell command that sets up the interface for the hand."""
+    """Return the shell command that sets up an interface for a hand."""
     if channel.startswith("vcan"):
         steps = ["sudo ip link set {0} down" if exists else "sudo ip link add {0} type vcan"]
         steps += ["sudo ip link set {0} mtu 72"] * bool(data_bitrate) + ["sudo ip link set {0} up"]

@@ -1,1 +1,1 @@
-"""Clocks of a run: real time, a clock shared with a simulator, and virtual time."""
+"""Clocks of a run: real time, a real-time clock shared with a simulator, and the virtual time of lockstep."""

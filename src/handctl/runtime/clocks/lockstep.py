@@ -1,8 +1,9 @@
-"""Virtual time for lockstep: the loop advances the simulator tick by tick, without sleeping.
+"""Virtual time for lockstep: the control loop advances the simulator tick by tick, and never sleeps.
 
-The simulator is called the peer: an object with ``step(t_ns, frames) -> frames``. The peer is
-loaded by name, because handctl never imports a simulator. If the peer has ``exchange(t_ns, records)
--> records``, the loop calls this method instead, which avoids an object per frame.
+The simulator is called the peer. It is an object with the method ``step(t_ns, frames) -> frames``.
+The peer is loaded by name, because handctl never imports a simulator. If the peer has the method
+``exchange(t_ns, records) -> records``, the loop calls it instead of ``step``. This avoids an object
+for each frame.
 """
 
 import importlib
@@ -20,14 +21,14 @@ from handctl.runtime.buses.canfd import without_errors
 from handctl.runtime.buses.events import BusEvents
 
 SIMULATED_HAND = "firmware_sim.rig:Rig"
-"""Name of the simulator in the handctl repository."""
+"""Entry ``module:Class`` of the simulator in the handctl repository."""
 
 
 class Peer(Protocol):
     """Interface of a simulator in lockstep."""
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Advance the simulator by one period with the host's frames of the tick at t_ns, and return its answers."""
+        """Advance the simulator by one period, and return its answers to the host's frames of the tick at t_ns."""
         ...
 
     def close(self) -> None:
@@ -36,7 +37,7 @@ class Peer(Protocol):
 
 
 def _exchange_objects(peer: Peer, t_ns: int, records: Records) -> Records:
-    """Exchange records with a simulator that accepts only frame objects."""
+    """Exchange records with a simulator that has no ``exchange``, by converting them to frame objects and back."""
     return frames_as_records(Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))).records
 
 
@@ -44,8 +45,8 @@ def load_entry(entry: str, user: str) -> Callable[..., Any]:
     """Return a class or function of the simulator by its name ``module:name``.
 
     Args:
-        entry: name of the class or function, ``module:name``. user: verb or function that needs it,
-            for the message.
+        entry: name of the class or function, ``module:name``.
+        user: command or function that needs the class. The error message names this user.
 
     Raises:
         ConfigError: the class or function does not exist, or its optional package is not installed.
@@ -76,19 +77,19 @@ def load_peer(entry: str, **options: object) -> Peer:
 class LockstepClock:
     """Clock that stops while controller and simulator compute.
 
-    Waiting for a tick advances the simulator through the tick before.
+    The call that waits for a tick advances the simulator by one control period.
 
     Attributes:
         peer: the simulator.
         period_ns: control period [ns].
-        outgoing: frames from the host for the next step.
-        incoming: answers not yet returned by ``LockstepBus.drain``.
+        outgoing: frames from the host for the next step of the simulator.
+        incoming: answers of the simulator not yet returned by ``LockstepBus.drain``.
         k: number of the present tick.
         offset_ns: time of the simulator at t = 0 of this run [ns].
     """
 
     def __init__(self, peer: Peer, period_ns: int) -> None:
-        """Start at tick 0 of the simulator's time, with a control period [ns]."""
+        """Start at tick 0, at time 0 of the simulator. ``period_ns`` is the control period [ns]."""
         self.peer = peer
         self.period_ns = period_ns
         self._exchange: Callable[[int, Records], Records]
@@ -101,8 +102,8 @@ class LockstepClock:
     def restart(self) -> None:
         """Begin another run, one tick after the last frames of the previous run were sent.
 
-        The simulator receives these frames, because these frames disable the drives. The answers
-        are discarded, because no bus is open between two runs.
+        The simulator receives these frames, because they disable the drives. Its answers are
+        discarded, because no bus is open between two runs.
         """
         if self.outgoing:
             self.wait(self.k + 1)
@@ -114,7 +115,7 @@ class LockstepClock:
         """Do nothing. The simulator's time begins with the first step."""
 
     def wait(self, k: int) -> int:
-        """Advance the simulator from the last tick to tick k.
+        """Advance the simulator from the previous tick to tick k.
 
         Returns 0, because virtual time is never late.
         """
@@ -134,17 +135,17 @@ class LockstepClock:
         return self.k * self.period_ns
 
     def facts(self) -> dict[str, str]:
-        """Return no facts, because virtual time is equal in each run."""
+        """Return no facts for the log, because virtual time is the same in every run."""
         return {}
 
 
 class LockstepBus:
-    """All buses of a hand in lockstep, as one object. Each frame has the index of its bus."""
+    """One object for all buses of a hand in lockstep. Each frame has the index of its bus."""
 
     name = "lockstep"
 
     def __init__(self, clock: LockstepClock) -> None:
-        """Connect to the simulator of a clock."""
+        """Connect to the simulator that ``clock`` advances."""
         self.clock = clock
         self._events: dict[int, BusEvents] = {}
 
@@ -152,8 +153,8 @@ class LockstepBus:
         """Return the answers of the simulator. Error frames become events."""
         frames = join_frames(self.clock.incoming)
         self.clock.incoming = []
-        # One OR over all identifiers shows if there is an error frame, so that usually no frame is
-        # examined.
+        # One OR over all identifiers shows if there is an error frame. Usually there is none, and
+        # no frame has to be examined.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR:
             return frames
         frames, errors = without_errors(frames.records)

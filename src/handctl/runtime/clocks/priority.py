@@ -1,4 +1,4 @@
-"""Real-time priority, locked memory, and processors kept awake for the control process."""
+"""Real-time priority and locked memory for the control process, and processors that do not sleep."""
 
 import os
 import sys
@@ -7,18 +7,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 LATENCY_FILE = "/dev/cpu_dma_latency"
-"""File of Linux that sets the longest time in which an idle processor must wake up."""
+"""File of Linux that limits the time in which an idle processor must wake up."""
 NO_LATENCY = bytes(4)
-"""Wake-up time of 0 us, as a 32-bit integer."""
+"""Wake-up time of 0 us to write into ``LATENCY_FILE``, as a 32-bit integer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Priority:
-    """Scheduling and memory locking granted by the operating system.
+    """Real-time scheduling, memory locking and awake processors, as granted by the operating system.
 
     Attributes:
-        realtime: True if SCHED_FIFO was granted.
-        locked: True if the memory is locked against paging.
+        realtime: True if the system granted SCHED_FIFO, the real-time priority.
+        locked: True if the memory of the process is locked against paging.
         awake: True if idle processors stay awake while the ticks run.
     """
 
@@ -27,25 +27,28 @@ class Priority:
     awake: bool = False
 
     def __str__(self) -> str:
-        """Describe what was granted and what was not."""
+        """List in one line the permissions that the system has granted and refused."""
         granted = "SCHED_FIFO" if self.realtime else "no real-time priority (not permitted)"
         memory = ", memory locked" if self.locked else ", memory not locked"
         return granted + memory + (", processors kept awake" if self.awake else "")
 
 
 def take_priority(level: int = 60) -> Priority:
-    """Request SCHED_FIFO and locked memory. Refusals are in the result. No error is raised."""
-    # The memory is locked first, because this fills hundreds of MB. Under SCHED_FIFO no other
+    """Request SCHED_FIFO and locked memory.
+
+    The result tells which of them the system refused. No error is raised.
+    """
+    # The memory is locked first. Locking fills hundreds of MB, and under SCHED_FIFO no other
     # process would get the core during this time.
     locked = _lock_memory()
     return Priority(_enter_fifo(level), locked)
 
 
 def prepare_priority() -> Priority:
-    """Lock the memory, and test if :func:`realtime_priority` will be granted SCHED_FIFO.
+    """Lock the memory, and test if the system will grant SCHED_FIFO to :func:`realtime_priority`.
 
-    Starting a loop takes a quarter of a second, without real-time priority, so that other processes
-    can use the core.
+    The start of a control loop takes a quarter of a second. It runs without real-time priority, so
+    that other processes can use the core.
     """
     locked = _lock_memory()
     with realtime_priority() as granted, awake_processors() as awake:
@@ -54,7 +57,10 @@ def prepare_priority() -> Priority:
 
 @contextmanager
 def realtime_priority(level: int = 60) -> Iterator[bool]:
-    """Run a block under SCHED_FIFO on awake processors. The value yielded is True if SCHED_FIFO was granted."""
+    """Run a ``with`` block under SCHED_FIFO on awake processors.
+
+    Yield True if the system granted SCHED_FIFO.
+    """
     try:
         with awake_processors():
             yield _enter_fifo(level)
@@ -64,11 +70,11 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
 
 @contextmanager
 def awake_processors() -> Iterator[bool]:
-    """Keep idle processors awake during a block. The value yielded is True if the system grants it.
+    """Keep idle processors awake during a ``with`` block. Yield True if permitted.
 
     An idle processor sleeps, and takes up to a millisecond to wake up, above all in a virtual
-    machine. The system keeps all processors awake as long as a process has the file open with a
-    latency of 0. Source: Linux, Documentation/power/pm_qos_interface.
+    machine. The system keeps all processors awake as long as a process has ``LATENCY_FILE`` open
+    and has written a latency of 0. Source: Linux, Documentation/power/pm_qos_interface.
     """
     try:
         descriptor = os.open(LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)
@@ -92,7 +98,7 @@ def restore_priority() -> None:
 
 
 def _leave_fifo() -> None:
-    """Leave SCHED_FIFO. Any other scheduling class is kept."""
+    """Return from SCHED_FIFO to ordinary scheduling. Any other scheduling class stays unchanged."""
     if not sys.platform.startswith("linux"):
         return
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
@@ -100,7 +106,10 @@ def _leave_fifo() -> None:
 
 
 def _enter_fifo(level: int) -> bool:
-    """Enter SCHED_FIFO and return True if it was granted. Child processes start with ordinary scheduling."""
+    """Enter SCHED_FIFO, and return True if granted.
+
+    Child processes start with ordinary scheduling.
+    """
     if not sys.platform.startswith("linux"):
         return False
     try:
@@ -116,7 +125,7 @@ MCL_FUTURE = 2
 
 
 def _lock_memory() -> bool:
-    """Lock present and future pages in memory and return True if it was granted."""
+    """Lock the present and future pages of this process in memory. Return True if granted."""
     if not sys.platform.startswith("linux"):
         return False
     import ctypes

@@ -1,6 +1,6 @@
-"""Time of a run: absolute deadlines on CLOCK_MONOTONIC, with an optional scale.
+"""Real time of a run: ticks with absolute deadlines on CLOCK_MONOTONIC, and an optional scale of the time.
 
-The virtual time of lockstep is in ``lockstep``.
+The virtual time of lockstep is in the module ``lockstep``.
 """
 
 import time
@@ -8,21 +8,21 @@ from dataclasses import dataclass
 from typing import Protocol
 
 SPIN_NS = 60_000
-"""Time before a deadline in which a process with real-time priority spins instead of sleeping [ns of wall time].
+"""Time before each deadline in which a process with real-time priority spins instead of sleeping [ns of wall time].
 
 ``time.sleep`` returns about 50 us late, even under SCHED_FIFO.
 """
 
 
 class Clock(Protocol):
-    """Clock of the control loop. All times are in the run's time unless wall time is stated."""
+    """Clock of the control loop. All times are the run's time, except where wall time is stated."""
 
     def start(self) -> None:
         """Start the run's time. The next tick is tick 0."""
         ...
 
     def wait(self, k: int) -> int:
-        """Wait for the deadline of tick k and return the lateness [ns], 0 or more."""
+        """Wait for the deadline of tick k, and return the time since the deadline [ns], 0 or more."""
         ...
 
     def now_ns(self) -> int:
@@ -30,23 +30,23 @@ class Clock(Protocol):
         ...
 
     def facts(self) -> dict[str, str]:
-        """Return facts about the clock for the end of the log, by name."""
+        """Return facts about the clock, by name. They are recorded at the end of the log."""
         ...
 
 
 @dataclass
 class RealClock:
-    """Clock with deadlines at start + k * period on CLOCK_MONOTONIC.
+    """Clock on CLOCK_MONOTONIC. The deadline of tick k is the start plus k periods.
 
     With scale 0.1, one second of the run takes ten seconds.
 
     Attributes:
         period_ns: control period [ns of the run's time].
-        scale: run time divided by wall time.
-        spin: True to spin before each deadline, useful only with real-time priority.
+        scale: the run's time divided by wall time.
+        spin: True to spin before each deadline. This is useful only with real-time priority.
         start_ns: reading of the clock at tick 0 [ns of wall time].
-        pauses: number of pauses of a clock that can pause, see ``shared``.
-        paused_ns: sum of the pauses [ns of wall time].
+        pauses: number of pauses so far. Only the shared clock can pause.
+        paused_ns: total duration of these pauses [ns of wall time].
     """
 
     period_ns: int
@@ -61,7 +61,7 @@ class RealClock:
         self.start_ns = self._read_ns() + int(self.period_ns / self.scale)
 
     def wait(self, k: int) -> int:
-        """Wait for the deadline of tick k and return the lateness [ns], see ``Clock``."""
+        """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``Clock``."""
         return int(self._wait_until(self._deadline(k)) * self.scale)  # from wall time to the run's time
 
     def now_ns(self) -> int:
@@ -81,15 +81,15 @@ class RealClock:
         return time.monotonic_ns()
 
     def _deadline(self, k: int) -> int:
-        """Return the reading of the clock at the deadline of tick k [ns of wall time]."""
+        """Return the deadline of tick k as a reading of the clock [ns of wall time]."""
         return self.start_ns + int(k * self.period_ns / self.scale)
 
     def _wait_until(self, deadline: int) -> int:
-        """Wait until the clock reads the deadline, and return the lateness [ns of wall time]."""
+        """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
         early = deadline - self._read_ns() - (SPIN_NS if self.spin else 0)
         if early > 0:
             time.sleep(early / 1e9)
-        while (now := self._read_ns()) < deadline:  # sleep may return early, so the loop also does the spinning
+        while (now := self._read_ns()) < deadline:  # sleep may return early, and the same loop spins
             if not self.spin:
                 time.sleep((deadline - now) / 1e9)
         return now - deadline

@@ -1,24 +1,26 @@
-"""Clock that controller and simulator of one machine share. It pauses when the machine is too slow.
+"""Clock that a controller and a simulator on one machine share. It pauses when the machine is too slow.
 
 A simulated hand and its controller are two processes on one machine. The operating system may stop
 either process for many milliseconds. On real hardware only the controller can be stopped, and a
-late tick is a fault. In a simulation such a stop is no property of hand or controller. The shared
-clock therefore pauses in two cases:
+late tick is a fault. In a simulation such a stop tells nothing about the hand or the controller.
+The shared clock therefore pauses in two cases:
 
 - The controller wakes up late. The clock continues from a short time after the deadline.
-- The simulator has not yet answered the frames of the tick before. The clock waits at that time.
+- The simulator has not yet answered the frames of the previous tick. The clock stands still until
+  it has.
 
-The time of both processes is CLOCK_MONOTONIC minus the sum of all pauses. The gate is the time at
+The time in both processes is CLOCK_MONOTONIC minus the sum of all pauses. The gate is the time at
 which the clock pauses, shortly after the next deadline. The controller moves the gate in every
-tick, and the simulator never advances beyond it. Both kinds of pause have short limits, so that a
-killed or stopped process leads to a fault, as on a real bus.
+tick, and the simulator never advances beyond the gate. Both kinds of pause are limited to a
+fraction of a second. A killed or stopped process therefore leads to a fault, as on a real bus.
 
 The simulator creates a file with six 64-bit integers, and both processes map it:
 
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
-The controller writes numbers 2 to 4, the simulator writes the others. All times are CLOCK_MONOTONIC
-minus the pauses, without the time scale. A 64-bit integer is written at once, so no lock is needed.
+The controller writes the second to fourth integer, the simulator writes the others. Gate and
+reached time are CLOCK_MONOTONIC minus the pauses, without the time scale. A 64-bit integer is
+written at once, so no lock is needed.
 """
 
 import mmap
@@ -31,16 +33,23 @@ from handctl.runtime.clocks.real import RealClock
 
 VERSION = 1
 GATE, PAUSED, SENT, ANSWERED, REACHED = 1, 2, 3, 4, 5
-"""Indices of the integers in the file."""
+"""Indices of the integers in the file of the shared clock."""
 COUNT = 6
 OPEN_GATE = 2**63 - 1
-"""Gate of a simulator without a controller."""
+"""Gate while no controller uses the clock: the simulator may always advance."""
 TOLERATED_LATENESS = 0.1
-"""Lateness without a pause, as a fraction of the control period."""
+"""Lateness of a tick that causes no pause yet, as a fraction of the control period."""
 CONTROLLER_LIMIT_NS = 100_000_000
-"""Longest lateness of the controller that becomes a pause [ns]. After a longer lateness ticks count as missed."""
+"""Longest lateness of the controller that the clock turns into a pause [ns].
+
+If the controller is later, the ticks that it has missed count as missed.
+"""
 SIMULATOR_LIMIT_NS = 250_000_000
-"""Longest wait for the simulator [ns]. After a longer wait the frames count as missing, as on a real bus."""
+"""Longest wait of the clock for the simulator [ns].
+
+After this time the run continues without the frames of the simulator. They count as missing, as on
+a real bus.
+"""
 POLL_S = 50e-6
 """Time between two checks of the simulator's progress [s]."""
 MAX_LAG_NS = 1_500_000
@@ -58,10 +67,10 @@ class ClockFile:
     """
 
     def __init__(self, path: Path) -> None:
-        """Map the file of a simulator.
+        """Map the clock file of a simulator into memory.
 
         Raises:
-            FileNotFoundError: the simulator has no shared clock.
+            FileNotFoundError: the simulator offers no shared clock.
             ValueError: the file has another size or version.
         """
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -74,7 +83,7 @@ class ClockFile:
             raise ValueError(f"{path}: version {self.numbers[0]}; expected {VERSION}")
 
     def close(self) -> None:
-        """Remove the limit of the gate, so that the simulator continues without the controller, and unmap the file."""
+        """Open the gate, so that the simulator continues without the controller, and unmap the file."""
         self.numbers[GATE] = OPEN_GATE
         self.numbers.release()
         self._map.close()
@@ -85,7 +94,7 @@ class SharedClock(RealClock):
     """Clock of a controller that shares the time with its simulator, see ``RealClock``.
 
     Attributes:
-        file: file of the simulator.
+        file: mapped clock file of the simulator.
     """
 
     file: ClockFile = field(kw_only=True)
@@ -98,7 +107,10 @@ class SharedClock(RealClock):
         self._let_pass(0)
 
     def wait(self, k: int) -> int:
-        """Wait for the deadline of tick k and for the simulator, and return the lateness [ns], see ``RealClock``."""
+        """Wait for the deadline of tick k and for the simulator.
+
+        Return the time since the deadline [ns].
+        """
         self._numbers[SENT] += 1
         deadline = self._deadline(k)
         late = self._wait_until(deadline)
@@ -112,11 +124,14 @@ class SharedClock(RealClock):
         return int(late * self.scale)
 
     def facts(self) -> dict[str, str]:
-        """Return the number of the pauses and their sum, see ``Clock``."""
+        """Return the number of pauses and their total duration, see ``Clock``."""
         return {"clock_pauses": str(self.pauses), "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}"}
 
     def of(self, monotonic_ns: int) -> int:
-        """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns]. Only the last pause is taken into account."""
+        """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns].
+
+        The result is right for time stamps since the end of the last pause but one.
+        """
         end_ns, pause_ns = self._last_pause
         since_pause = self._numbers[PAUSED] - min(max(end_ns - monotonic_ns, 0), pause_ns)
         return int((monotonic_ns - since_pause - self.start_ns) * self.scale)
@@ -129,21 +144,21 @@ class SharedClock(RealClock):
         return self.file.numbers
 
     def _let_pass(self, k: int) -> None:
-        """Move the gate, so that the simulator may advance to tick k, and no further."""
+        """Move the gate, so that the simulator may advance until shortly after the deadline of tick k."""
         self._numbers[GATE] = self._deadline(k) + int(TOLERATED_LATENESS * self.period_ns / self.scale)
 
     def _stop_at_gate(self) -> None:
         """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
 
-        The simulator never read a later time, so its time does not jump back.
+        The simulator has never read a time after the gate, so time does not jump back for it.
         """
         self._numbers[PAUSED] += max(0, self._read_ns() - self._numbers[GATE])
 
     def _wait_for_simulator(self, deadline: int) -> None:
-        """Stop the clock at the gate until the simulator has answered the frames of the tick before.
+        """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
 
-        If the simulator has not answered for ``SIMULATOR_LIMIT_NS``, the clock does not wait for it
-        until it answers again.
+        After ``SIMULATOR_LIMIT_NS`` without an answer, the clock continues, and no longer waits in
+        later ticks until the simulator answers again.
         """
         numbers = self._numbers
         if numbers[ANSWERED] == self._given_up:
@@ -157,13 +172,13 @@ class SharedClock(RealClock):
                 return
 
     def _is_answered(self, deadline: int) -> bool:
-        """Return True if the simulator has answered all frames, and is no step behind the deadline."""
+        """Return True if the simulator has answered all frames, and is at most ``MAX_LAG_NS`` behind the deadline."""
         numbers = self._numbers
         behind_ns = int(MAX_LAG_NS / self.scale)
         return bool(numbers[ANSWERED] >= numbers[SENT] and numbers[REACHED] >= deadline - behind_ns)
 
     def _count_pause(self, pause_ns: int) -> None:
-        """Count the pause before this tick [ns of wall time]."""
+        """Add the pause before this tick [ns of wall time] to the totals of the run."""
         if pause_ns:
             self._last_pause = (time.monotonic_ns(), pause_ns)
             self.pauses += 1

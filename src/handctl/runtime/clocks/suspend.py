@@ -1,6 +1,6 @@
 """Detection of a suspend of the machine.
 
-During a suspend CLOCK_BOOTTIME continues and CLOCK_MONOTONIC stops.
+During a suspend, CLOCK_BOOTTIME continues and CLOCK_MONOTONIC stands still.
 """
 
 import time
@@ -11,9 +11,9 @@ from handctl.core.types import IoEvent
 MIN_SUSPEND_NS = 20_000_000
 """Shortest suspend that is reported [ns]."""
 MAX_READING_NS = 1_000_000
-"""Longest accepted duration of reading both clocks [ns].
+"""Longest time that reading both clocks may take [ns].
 
-A longer reading was interrupted and is discarded.
+A reading that took longer was interrupted, and is discarded.
 """
 
 
@@ -27,7 +27,7 @@ def boot_ns() -> int:
 
 
 class SuspendWatch:
-    """Suspend detector. Each call compares the two clocks."""
+    """Detector of suspends. Each call of ``events`` compares the two clocks."""
 
     def __init__(self, boot: Callable[[], int] = boot_ns, monotonic: Callable[[], int] = time.monotonic_ns) -> None:
         """Read the clocks once.
@@ -41,13 +41,13 @@ class SuspendWatch:
         self._difference_ns = self._clock_difference()
 
     def _clock_difference(self) -> int | None:
-        """Return the difference of the clocks [ns], or None if the reading was interrupted."""
+        """Return the difference of the two clocks [ns], or None if reading them was interrupted."""
         before = self._monotonic()
         boot = self._boot()
         return boot - before if self._monotonic() - before < MAX_READING_NS else None
 
     def events(self) -> list[IoEvent]:
-        """Return an event if the machine was suspended since the last call, with the duration [ms]."""
+        """Return an event with the duration [ms] if the machine was suspended since the last call."""
         difference_ns = self._clock_difference()
         if difference_ns is None:
             return []

@@ -1,1 +1,1 @@
-"""Diagnosis of a bus, an interface or a drive, without a controller."""
+"""Diagnosis of a CAN bus, a network interface or a drive, while no controller runs."""

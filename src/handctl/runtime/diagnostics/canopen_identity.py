@@ -1,9 +1,9 @@
-"""Identity of a CANopen drive, read object by object with the ``canopen`` library.
+"""Identity of a CANopen drive (vendor, product, name, ...), read object by object with the ``canopen`` library.
 
 This module is not used while a controller runs.
 
-The library opens the bus through python-can, and starts threads. Bus and threads are closed when
-``identify_nodes`` returns.
+The library opens the bus through python-can, and starts threads. When ``identify_nodes`` returns,
+the bus is closed and the threads have ended.
 """
 
 import logging
@@ -26,9 +26,9 @@ OBJECTS = {
     "rated_torque": (0x6076, 0),
     "counts": (0x608F, 1),
 }
-"""Index and subindex of the numbers to read. Source: CiA 301, CiA 402-2."""
+"""Index and subindex of the objects with numbers, by name. Source: CiA 301, CiA 402-2."""
 TEXTS = {"name": (0x1008, 0), "software": (0x100A, 0)}
-"""Index and subindex of the texts to read. Source: CiA 301."""
+"""Index and subindex of the objects with texts, by name. Source: CiA 301."""
 ANSWER_S = 0.3
 """Longest wait for the answer of a drive [s]."""
 
@@ -36,7 +36,7 @@ ANSWER_S = 0.3
 class Identity(NamedTuple):
     """Numbers and texts reported by a node, by the names in ``OBJECTS`` and ``TEXTS``.
 
-    Missing values are absent.
+    An object that the node does not have is missing in both.
     """
 
     numbers: dict[str, int]
@@ -44,12 +44,12 @@ class Identity(NamedTuple):
 
 
 def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identity]:
-    """Read the identity of nodes over SDO.
+    """Read the identity of each node with SDO uploads.
 
     Args:
         spec: ``INTERFACE:CHANNEL`` of the bus. The bus must be closed in this process.
-        bitrate: nominal [bit/s].
-        nodes: node numbers.
+        bitrate: nominal bit rate of the bus [bit/s].
+        nodes: numbers of the nodes to read.
 
     Raises:
         BusError: the bus cannot be opened.
@@ -83,7 +83,7 @@ def _identity(network: canopen.Network, number: int) -> Identity:
 
 
 def _upload(node: canopen.RemoteNode, index: int, sub: int) -> bytes:
-    """Return the bytes of an object, empty if the drive refuses or does not answer."""
+    """Return the content of an object, empty if the drive refuses the request or does not answer."""
     try:
         return bytes(node.sdo.upload(index, sub))
     except SdoError:

@@ -1,7 +1,7 @@
-"""Conformance checks that run on a real drive, one after the other, within a given torque limit.
+"""Conformance checks of a real drive. They run one after the other, within a given torque limit.
 
-The shaft may turn. A check raises the torque until the shaft has moved a little or the limit is
-reached, then brakes the shaft.
+The shaft may turn. Two checks raise the torque until the shaft has moved a little or the limit is
+reached, and then brake the shaft.
 """
 
 import math
@@ -14,21 +14,24 @@ from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.torque_step import MAX_REST_VELOCITY_RAD_S, MOVED_RAD, brake_shaft, torque_step
 
 MAX_FEEDBACK_AGE_NS = 50_000_000
-"""Largest age of fresh feedback [ns]."""
+"""Largest age at which feedback still counts as fresh [ns]."""
 MAX_LATE_TICKS_OF_100 = 5
-"""Number of ticks of 100 in which feedback may be older, because other processes share the machine."""
+"""Number of ticks in 100 in which feedback may be older, because other processes delay this one."""
 SILENCE_S = 0.3
-"""Shortest silence in the check of the watchdog [s]."""
+"""Shortest time without commands in the check of the watchdog [s]."""
 COUNTED_TICKS = 60
-"""Number of ticks to count answers, and to send torque commands to a disabled drive."""
+"""Number of ticks in which answers are counted, or torque commands are sent to a disabled drive."""
 MIN_ANSWERS_OF_TWO_DRIVES = 1.5
-"""Answers per request that prove a second drive. A single drive sends one answer, and two drives send two."""
+"""Answers per request above which a second drive must have the same number.
+
+One drive sends one answer to each request, and two drives send two.
+"""
 REPORTED_FRACTION = 0.3
-"""Reported torque above which a command counts as obeyed, as a fraction of the command."""
+"""Reported torque above which a disabled drive has obeyed a command, as a fraction of the torque limit."""
 
 
 class CheckVerdict(Enum):
-    """Result of a check."""
+    """Result of a conformance check."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -41,7 +44,7 @@ class ConformanceCheck(NamedTuple):
     Attributes:
         name: name of the checked requirement.
         verdict: result of the check.
-        reason: reason of the result in one line.
+        reason: observation that explains the result, in one line.
     """
 
     name: str
@@ -50,11 +53,11 @@ class ConformanceCheck(NamedTuple):
 
 
 class Failed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
-    """Error for a drive that does not meet the requirement. The text describes the observation."""
+    """Raised if a drive does not meet a requirement. The text describes the observation."""
 
 
 class NotApplicable(Exception):  # noqa: N818
-    """Error for a requirement that cannot be checked. The text gives the reason."""
+    """Raised if a requirement cannot be checked. The text gives the reason."""
 
 
 class DeviceUnderTest(NamedTuple):
@@ -62,7 +65,7 @@ class DeviceUnderTest(NamedTuple):
 
     Attributes:
         rig: the drive on its bus.
-        limit: largest torque [N m].
+        limit: largest torque of the test [N m].
         watchdog_s: timeout of the drive's watchdog [s].
     """
 
@@ -72,17 +75,17 @@ class DeviceUnderTest(NamedTuple):
 
 
 RequirementCheck = Callable[[DeviceUnderTest], str]
-"""Function that checks a requirement and returns the observation.
+"""Function that checks one requirement of a drive, and returns the observation as text.
 
-Raises Failed or NotApplicable.
+It raises Failed or NotApplicable if the check is not passed.
 """
 
 
 def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order, and yield each result.
 
-    The remaining checks are not run if a check leaves the drive in an unusable state. If the first
-    check with motion of the shaft fails, the second is not run.
+    The remaining checks are not run if a check leaves the drive in an unusable state. Two checks
+    turn the shaft. If the first of them fails, the second is not run.
     """
     usable = True
     reversed_turn = False
@@ -98,9 +101,10 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
 
 
 def _not_run(device: DeviceUnderTest, name: str, requirement: RequirementCheck) -> ConformanceCheck:
-    """Return the result for a check that cannot be run.
+    """Return the result of a check that is not run, because an earlier check has failed.
 
-    If the drive is still enabled after the last check, it has not obeyed the command to disable.
+    The check of the disable command fails if the drive is still enabled. The drive has then not
+    obeyed that command in an earlier check.
     """
     if requirement is _check_disables and device.rig.state.phase == Phase.ENABLED:
         return ConformanceCheck(name, CheckVerdict.FAILED, "stays enabled after the disable command of another check")
@@ -118,7 +122,7 @@ def _run_check(device: DeviceUnderTest, name: str, requirement: RequirementCheck
 
 
 def _check_configures(device: DeviceUnderTest) -> str:
-    """Check that the drive accepts its settings and becomes ready."""
+    """Check that the drive accepts its settings, and reaches the phase READY."""
     rig = device.rig
     if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
         raise Failed(rig.state.error_text or f"stays in {rig.state.phase.name}")
@@ -126,13 +130,13 @@ def _check_configures(device: DeviceUnderTest) -> str:
 
 
 def _enable(rig: DriveRig) -> None:
-    """Enable the drive. Raises Failed if the drive does not report that it is enabled."""
+    """Enable the drive. Raises Failed if the drive does not report the state enabled."""
     if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
         raise Failed(rig.state.error_text or "does not report that it is enabled within 2 s of the command")
 
 
 def _check_alone(device: DeviceUnderTest) -> str:
-    """Check that each request has one answer.
+    """Check that each request to the drive gets one answer.
 
     A second drive with the same number would also answer.
     """
@@ -153,7 +157,7 @@ def _check_alone(device: DeviceUnderTest) -> str:
 
 
 def _feedback_frames(rig: DriveRig, target: DriveTarget) -> int:
-    """Return the number of feedback frames in COUNTED_TICKS ticks."""
+    """Return the number of feedback frames received in COUNTED_TICKS ticks."""
     before = rig.state.feedback_count
     for _ in range(COUNTED_TICKS):
         rig.tick(target)
@@ -161,7 +165,7 @@ def _feedback_frames(rig: DriveRig, target: DriveTarget) -> int:
 
 
 def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
-    """Check that a ready drive makes no torque, both without and with torque commands."""
+    """Check that a drive in the phase READY makes no torque, even if it receives torque commands."""
     rig = device.rig
     before = rig.state.feedback_count
     rig.keep(DriveTarget.POLL, 0.3)
@@ -176,7 +180,10 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
 
 
 def _check_ignores_torque(device: DeviceUnderTest) -> str:
-    """Send a disabled drive torque commands up to the limit. Raises Failed if it follows them."""
+    """Send torque commands up to the limit to a disabled drive.
+
+    Raises Failed if the drive follows them.
+    """
     rig = device.rig
     if not rig.drive.torque_frames(0.0):
         return "without torque commands, because each of them enables"
@@ -192,7 +199,8 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
         if abs(moved) > MOVED_RAD + coasting * (i + 1) * PERIOD_NS * 1e-9:
             rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
             raise Failed(f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad")
-    # A drive may keep the last command until it is enabled.
+    # A drive may store its last command and follow it once it is enabled, so the last command is
+    # zero.
     rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
     mean = sum(reported[len(reported) // 2 :]) / (len(reported) - len(reported) // 2)
     if abs(mean) > REPORTED_FRACTION * device.limit:
@@ -201,14 +209,14 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
 
 
 def _check_enables(device: DeviceUnderTest) -> str:
-    """Check that the drive can be enabled, and measure the time."""
+    """Check that the drive can be enabled, and measure the time that this takes."""
     start = device.rig.t_ns
     _enable(device.rig)
     return f"after {(device.rig.t_ns - start) / 1e6:.0f} ms"
 
 
 def _check_feedback(device: DeviceUnderTest) -> str:
-    """Check that nearly every tick has fresh feedback."""
+    """Check that an enabled drive sends fresh feedback in nearly every tick."""
     rig = device.rig
     _enable(rig)
     start = rig.state.feedback_count
@@ -223,7 +231,7 @@ def _check_feedback(device: DeviceUnderTest) -> str:
 
 
 def _turn_check(sign: int) -> RequirementCheck:
-    """Return the check that torque with this sign turns the shaft in the same direction."""
+    """Return the check that a torque with this sign turns the shaft in the direction of the torque."""
 
     def turns(device: DeviceUnderTest) -> str:
         rig = device.rig
@@ -254,7 +262,7 @@ def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exc
 
 
 def _check_torque_limit(device: DeviceUnderTest) -> str:
-    """Check that a torque above the limit and a non-finite torque are refused before they are sent."""
+    """Check that the driver refuses a torque above the limit and a non-finite torque, and sends neither."""
     rig = device.rig
     _enable(rig)
     for torque in (1.01 * device.limit, -1.01 * device.limit, math.nan, math.inf):
@@ -267,7 +275,7 @@ def _check_torque_limit(device: DeviceUnderTest) -> str:
 
 
 def _check_disables(device: DeviceUnderTest) -> str:
-    """Check that the drive is disabled within a second after the command, and reports this."""
+    """Check that the drive reports within a second of the disable command that it is disabled."""
     rig = device.rig
     _enable(rig)
     start = rig.t_ns
@@ -276,13 +284,14 @@ def _check_disables(device: DeviceUnderTest) -> str:
     if rig.state.phase == Phase.FAULT:
         raise Failed(f"reports a fault after the disable command: {rig.state.error_text}")
     took = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
-    # A drive that does not report whether it is enabled may have ignored the command.
+    # Some drives do not report whether they are enabled. Torque commands show if such a drive has
+    # ignored the command.
     rig.keep(DriveTarget.DISABLE, 0.05)
     return f"{took}; {_check_ignores_torque(device)}"
 
 
 def _check_watchdog(device: DeviceUnderTest) -> str:
-    """Check that the watchdog disables the drive when the host is silent, and that the drive stays off."""
+    """Check that the watchdog disables the drive when the host sends nothing, and that the drive then stays off."""
     rig = device.rig
     _enable(rig)
     silence = max(SILENCE_S, 3.0 * device.watchdog_s)
@@ -298,7 +307,7 @@ def _check_watchdog(device: DeviceUnderTest) -> str:
 
 
 def _check_clears(device: DeviceUnderTest) -> str:
-    """Check that the cut removes the torque, and that the drive becomes ready again only after a clear."""
+    """Check that the cut disables the drive, and that the drive becomes ready again after a clear."""
     rig = device.rig
     _enable(rig)
     rig.cut()
@@ -313,7 +322,7 @@ def _check_clears(device: DeviceUnderTest) -> str:
 
 
 def _check_readable(device: DeviceUnderTest) -> str:
-    """Check that every frame of the drive could be decoded."""
+    """Check that every frame received from the drive could be decoded."""
     state = device.rig.state
     if state.misread:
         raise Failed(f"{state.misread} frames on its identifiers could not be decoded")
@@ -321,18 +330,18 @@ def _check_readable(device: DeviceUnderTest) -> str:
 
 
 def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = None) -> bool:
-    """Disable the drive, clear its errors, and release the drive as after a run.
+    """Disable the drive, clear its errors, and send the frames that end a run.
 
-    Returns True if the drive reports off.
+    Returns True if the drive reports that it is off.
 
-    The next program can then use the drive, and the drive does not report the end of this program
-    as a lost host.
+    The next program can then use the drive. The drive does not treat the end of this program as a
+    lost host.
 
     Args:
         rig: rig with a drive in any state.
         watchdog_s: timeout of the drive's watchdog [s].
-        restoring: description with the settings to restore in the drive, None to keep the present
-            settings.
+        restoring: description of the drive with the settings to restore. With None, the drive keeps
+            its present settings.
     """
     if not rig.confirm_off(watchdog_s):
         return False
@@ -358,4 +367,4 @@ REQUIREMENTS: tuple[tuple[str, RequirementCheck, bool], ...] = (
     ("is cut at once, and cleared on command only", _check_clears, False),
     ("sends only frames that can be decoded", _check_readable, False),
 )
-"""Each requirement with its check, and True if the check turns the shaft."""
+"""Each requirement in words, its check, and True if the check turns the shaft."""

@@ -1,8 +1,8 @@
-"""Jog of one drive on a bench in torque, position or velocity mode, within limits of host and drive.
+"""Jog of one drive on a bench in torque, position or velocity mode. Host and drive both limit the motion.
 
-The host ramps the command. It stops the drive as soon as the shaft turns too fast or leaves its
-travel, or if the drive makes too much torque or sends no feedback. After a stop the drive is not
-enabled again.
+The host ramps the command. It stops the drive as soon as the shaft turns too fast or leaves the
+permitted travel, or the drive makes too much torque or sends no feedback. After such a stop the
+drive is not enabled again.
 """
 
 import math
@@ -15,33 +15,37 @@ from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 PERIOD_S = PERIOD_NS * 1e-9
 """Period of a tick [s]."""
 HOST_LIMIT_FRACTION = 0.8
-"""Speed and acceleration of the host's ramps as fractions of the limits, so that the drive's limits have no effect."""
+"""Speed and acceleration of the host's ramps, as fractions of the drive's limits.
+
+These limits then have no effect.
+"""
 TORQUE_RAMP_S = 0.2
 """Duration of a ramp of the torque command from zero to the limit [s]."""
 OVERSPEED_FACTOR = 1.5
-"""Measured speed that stops the jog, as a factor of the speed limit."""
+"""Measured speed above which the jog stops, as a multiple of the speed limit."""
 OVERSPEED_MARGIN_RAD_S = 0.5
-"""Speed that is added to this limit, for the noise of a slow shaft [rad/s]."""
+"""Speed added to this threshold, because the measured speed of a slow shaft is noisy [rad/s]."""
 OVERTORQUE_FACTOR = 1.5
-"""Reported torque that stops the jog, as a factor of the torque limit."""
+"""Reported torque above which the jog stops, as a multiple of the torque limit."""
 MAX_TICKS_BEYOND_LIMIT = 4
-"""Ticks in a row with too much speed or torque before the stop."""
+"""Number of consecutive ticks with too much speed or torque before the jog stops."""
 SILENCE_NS = 100_000_000
-"""Age of the feedback that stops the jog [ns]."""
+"""Age of the latest feedback above which the jog stops [ns]."""
 HOLD_S = 0.2
-"""Time at the end in which the drive holds its position or standstill [s]."""
+"""Time at the end of a jog in which the drive holds its position, or stands still [s]."""
 
 
 class JogGoal(NamedTuple):
-    """A motion of one drive.
+    """Requested motion of one drive.
 
     Attributes:
-        mode: controlled quantity.
-        target: torque [N m], velocity [rad/s], or position relative to the start [rad].
-        duration_s: time of the motion [s].
-        limits: largest speed and acceleration.
-        torque: torque limit [N m].
-        travel: largest distance from the start [rad].
+        mode: mode of the drive: torque, position or velocity.
+        target: target in this mode: torque [N m], velocity [rad/s], or position relative to the
+            start [rad].
+        duration_s: duration of the motion [s].
+        limits: largest speed and acceleration of the shaft.
+        torque: torque limit of the drive [N m].
+        travel: largest permitted distance of the shaft from its start [rad].
     """
 
     mode: DriveMode
@@ -57,10 +61,10 @@ class JogResult(NamedTuple):
 
     Attributes:
         failure: reason of an early stop in one line, empty for a complete motion.
-        moved: distance from the start [rad].
+        moved: angle of the shaft at the end, relative to its start [rad].
         fastest: largest measured speed [rad/s].
         strongest: largest reported torque [N m], NaN if the drive reports none.
-        final_speed: speed before the drive was disabled [rad/s].
+        final_speed: speed at the end, shortly before the drive is disabled [rad/s].
     """
 
     failure: str
@@ -71,12 +75,12 @@ class JogResult(NamedTuple):
 
 
 def distance_at(t_s: float, distance: float, speed: float, acceleration: float) -> float:
-    """Return the position of a trapezoidal motion from rest to rest.
+    """Return the position in a motion from rest to rest with a trapezoidal velocity.
 
     Args:
-        t_s: time since the start [s].
-        distance: distance, with its sign [rad].
-        speed: largest speed [rad/s].
+        t_s: time since the start of the motion [s].
+        distance: whole distance of the motion, with its sign [rad].
+        speed: largest speed of the motion [rad/s].
         acceleration: acceleration and deceleration [rad/s2].
     """
     length = abs(distance)
@@ -95,7 +99,7 @@ def distance_at(t_s: float, distance: float, speed: float, acceleration: float) 
 
 
 class _Jog:
-    """Execution of one motion: commands, checks of the limits, and result."""
+    """Execution of a jog: computation of the commands, checks of the limits, and collection of the result."""
 
     def __init__(self, rig: DriveRig, goal: JogGoal) -> None:
         self._rig = rig
@@ -108,7 +112,7 @@ class _Jog:
 
     @property
     def moved(self) -> float:
-        """Return the distance from the start [rad]."""
+        """Return the present angle of the shaft, relative to the start of the motion [rad]."""
         return self._rig.state.position - self._start
 
     @property
@@ -116,18 +120,18 @@ class _Jog:
         return COMMAND_UNITS[self._goal.mode] == "rad"
 
     def hold(self, state: DriveState) -> float:
-        """Return the command that keeps the motor still: the last position, or a velocity or torque of zero."""
+        """Return the command that keeps the shaft still: the last position, or zero velocity, or zero torque."""
         if not self._position_mode:
             return 0.0
         return self._command if state.phase == Phase.ENABLED else state.position
 
     def begin(self) -> str:
-        """Enable the drive at rest. Returns the problem, empty without one."""
+        """Enable the drive at rest. Returns the problem in words, empty if the drive is enabled."""
         rig = self._rig
         if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
             return rig.state.error_text or f"stays in {rig.state.phase.name}"
-        # Feedback of the ready drive is used, because a position from before the settings may have
-        # another scale.
+        # The start is read from feedback of the ready drive. A position that was sent before the
+        # settings may have another scale.
         rig.keep(DriveTarget.POLL, HOLD_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
@@ -141,14 +145,20 @@ class _Jog:
         return ""
 
     def move(self) -> str:
-        """Move for the duration of the goal. Returns the reason of an early stop, empty without one."""
+        """Move for the duration of the goal.
+
+        Returns the reason for an early stop, empty if there was none.
+        """
         for i in range(round(self._goal.duration_s / PERIOD_S)):
             if problem := self._tick(self._next((i + 1) * PERIOD_S)):
                 return problem
         return ""
 
     def settle(self) -> str:
-        """Ramp velocity or torque to zero, or hold the position, then measure. Returns a problem, empty without one."""
+        """Ramp velocity or torque to zero, or hold the position, for at least HOLD_S.
+
+        Returns the reason for an early stop, empty if there was none.
+        """
         ramp_s = 0.0
         if self._goal.mode == DriveMode.VELOCITY:
             ramp_s = abs(self._command) / (HOST_LIMIT_FRACTION * self._goal.limits.acceleration)
@@ -168,7 +178,7 @@ class _Jog:
         return self._start + distance_at(t_s, goal.target, speed, HOST_LIMIT_FRACTION * goal.limits.acceleration)
 
     def _towards(self, target: float) -> float:
-        """Return the command one step closer to a velocity or a torque."""
+        """Return the last command, moved one step of the ramp towards a target velocity or torque."""
         goal = self._goal
         rate = goal.torque / TORQUE_RAMP_S
         if goal.mode == DriveMode.VELOCITY:
@@ -177,18 +187,22 @@ class _Jog:
         return self._command + min(step, max(-step, target - self._command))
 
     def _tick(self, command: float) -> str:
-        """Send a command and judge the answer. Returns the reason to stop, empty without one."""
+        """Send a command and judge the drive's answer.
+
+        Returns the reason to stop, empty if there is none.
+        """
         self._command = command
         state = self._rig.tick(DriveTarget.ENABLE, command)
         if state.phase != Phase.ENABLED:
             return state.error_text or f"went to {state.phase.name}"
-        # The state is that of the last tick, so the age refers to the time of that tick.
+        # The rig's time is already that of the next tick, so the age is one period larger than at
+        # the tick itself.
         if self._rig.t_ns - state.feedback_t_ns > SILENCE_NS:
             return f"no feedback for {SILENCE_NS / 1e6:.0f} ms"
         return self._judge(state)
 
     def _judge(self, state: DriveState) -> str:
-        """Compare speed, torque and travel with their limits."""
+        """Return the reason to stop if speed, torque or travel exceed their limits, empty otherwise."""
         goal = self._goal
         speed = abs(self._rig.velocity)
         torque = abs(state.torque)
@@ -208,11 +222,11 @@ class _Jog:
 
 
 def jog_drive(rig: DriveRig, goal: JogGoal) -> JogResult:
-    """Enable the drive, move it, and bring it to rest. The caller disables it.
+    """Enable a drive, move it, and bring it to rest. The caller must disable the drive.
 
     Args:
         rig: rig with the drive in the mode of the goal.
-        goal: motion.
+        goal: motion to execute.
     """
     motion = _Jog(rig, goal)
     rig.idle_command = motion.hold

@@ -1,4 +1,4 @@
-"""Test rig for the conformance checks: one drive on a bus, with ticks from a clock."""
+"""Test rig for conformance checks and jogs: one drive on a bus, with ticks from a clock."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,11 +12,11 @@ from handctl.runtime.clocks.real import Clock
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""
 VELOCITY_TICKS = 4
-"""Number of ticks for the computation of the velocity from positions."""
+"""Number of ticks from the first to the last position of which the velocity is computed."""
 
 
 def _no_torque(state: DriveState) -> float:
-    """Return the command of a drive at rest that controls its torque."""
+    """Return the command that moves nothing in torque mode: a torque of zero."""
     return 0.0
 
 
@@ -25,12 +25,13 @@ class DriveRig:
 
     Attributes:
         drive: immutable description of the drive.
-        state: state of the drive.
+        state: state of the drive after the last tick.
         k: number of the next tick.
         torque: last commanded torque [N m].
-        events: events of the bus.
+        events: all events of the bus so far.
         inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
-        idle_command: command that moves nothing. In position mode it contains the present position.
+        idle_command: function from the state of the drive to the command that moves nothing. In
+            position mode this command is the present position.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: Clock) -> None:
@@ -41,7 +42,7 @@ class DriveRig:
             bus: open bus of the drive.
             clock: clock with period PERIOD_NS, not started yet.
         """
-        prepare()  # otherwise the first command would be compiled, and the watchdog of the drive would expire
+        prepare()  # otherwise the first tick would compile code, and the watchdog of the drive would expire meanwhile
         self.drive = drive
         self._bus = bus
         self._clock = clock
@@ -55,7 +56,7 @@ class DriveRig:
         clock.start()
 
     def take(self, drive: Drive) -> None:
-        """Continue with another description of the same drive, from the initial state."""
+        """Continue with another description of the same drive, and with its initial state."""
         self.drive = drive
         self.state = drive.initial()
 
@@ -66,7 +67,10 @@ class DriveRig:
 
     @property
     def velocity(self) -> float:
-        """Return the velocity from the last positions [rad/s], NaN while there are too few positions."""
+        """Return the velocity of the shaft, from its last positions [rad/s].
+
+        NaN while there are too few positions.
+        """
         return (self._positions[-1] - self._positions[0]) / (VELOCITY_TICKS * PERIOD_NS * 1e-9)
 
     def tick(self, target: DriveTarget, torque: float | None = None, extra: Sequence[Frame] = ()) -> DriveState:
@@ -74,8 +78,9 @@ class DriveRig:
 
         Args:
             target: requested state of the drive.
-            torque: command, used while the drive is enabled [N m], None for ``idle_command``.
-            extra: further frames to send.
+            torque: command to the enabled drive [N m in torque mode]. With None, ``idle_command``
+                computes it.
+            extra: further frames to send in this tick.
         """
         self._clock.wait(self.k)
         for frame in self._bus.drain():
@@ -91,14 +96,14 @@ class DriveRig:
         return self.state
 
     def until(self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float) -> bool:
-        """Run ticks without torque until a condition is true.
+        """Run ticks with the idle command until ``reached`` returns True for the state of the drive.
 
-        Returns False after the time limit [s].
+        Returns False if the time ``for_s`` [s] passes before.
         """
         return any(reached(self.tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS)))
 
     def keep(self, target: DriveTarget, for_s: float) -> None:
-        """Run ticks without torque for a time [s]."""
+        """Run ticks with the idle command for a time [s]."""
         self.until(target, lambda state: False, for_s)
 
     def clear(self) -> None:
@@ -107,11 +112,11 @@ class DriveRig:
         self.tick(DriveTarget.POLL, extra=frames)
 
     def cut(self) -> None:
-        """Send only the frames that remove the torque."""
+        """Run a tick that sends only the frames that remove the torque of the drive."""
         self.tick(DriveTarget.LISTEN, extra=self.drive.cut())
 
     def release(self) -> None:
-        """Send the frames for the regular end of a run."""
+        """Run a tick that sends only the frames for the regular end of a run."""
         self.tick(DriveTarget.LISTEN, extra=self.drive.release_frames(self.state))
 
     def rest(self) -> bool:
@@ -122,9 +127,10 @@ class DriveRig:
         return self.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0)
 
     def confirm_off(self, watchdog_s: float) -> bool:
-        """Disable the drive, and return True if the drive reports off.
+        """Disable the drive, and return True if the drive reports that it is off.
 
-        A drive that does not obey is disabled again after a silence that lets the watchdog expire.
+        If the drive does not obey, the host sends nothing until the watchdog of the drive has
+        expired. It then disables the drive again.
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
             self.keep(DriveTarget.LISTEN, silence)

@@ -1,4 +1,4 @@
-"""Findings about a CAN interface, each with the command to correct the problem."""
+"""Findings about a CAN interface. Each problem has a command or advice to correct it."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,7 +7,7 @@ from handctl.runtime.buses.adapter import Adapter
 from handctl.runtime.buses.link import Link
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES, setup_command
 
-# Rules for udev, which keep the setting after a restart of the machine. Source: man 7 udev.
+# Rules for udev. They repeat a setting after each restart of the machine. Source: man 7 udev.
 UDEV_QUEUE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
 UDEV_NAME = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
 UDEV_SERIAL = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="{1}", NAME="{0}"'
@@ -20,7 +20,7 @@ ERRORS = {
 }  # fmt: skip
 """Text for each reported counter of ``Link.counts``."""
 FULL_SPEED_HZ = 333
-"""Control rate at which a hand can run over a full-speed USB adapter [Hz].
+"""Highest control rate of a hand behind a USB full-speed adapter [Hz].
 
 Source: docs/how-to/adapters.md.
 """
@@ -79,9 +79,9 @@ def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequ
 
     Args:
         name: name of the interface.
-        adapter: adapter of the interface, None for a virtual interface.
+        adapter: CAN adapter of the interface. None for a virtual interface.
         kind: kind of the interface, such as ``slcan``.
-        others: other CAN interfaces with a USB adapter.
+        others: names of the other CAN interfaces with a USB adapter.
     """
     if kind == "slcan":
         what = "a serial line (slcan): no error counters, no bit rate to compare"
@@ -108,12 +108,12 @@ def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequ
 
 
 def _rate_finding(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
-    """Return the finding about a bit rate [bit/s]."""
+    """Return the finding that compares the bit rate of an interface with the required bit rate [bit/s]."""
     return LinkFinding(f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix)
 
 
 def _controller_findings(name: str, link: Link) -> list[LinkFinding]:
-    """Return the findings about state, error counters, and restart of a real CAN controller."""
+    """Return the findings about the CAN controller: state, error counters, and restart after bus-off."""
     if not link.state:
         return []
     restart = f"sudo ip link set {name} type can restart; " if link.state == "BUS-OFF" else ""

@@ -1,4 +1,7 @@
-"""Round-trip time of a node, from sending a request without effect on the node to receiving the answer."""
+"""Round-trip time of a node: from sending a request to receiving its answer.
+
+The request has no effect on the node.
+"""
 
 import math
 import time
@@ -9,24 +12,24 @@ from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
 REQUESTS = 20
-"""Number of requests."""
+"""Number of requests in a measurement."""
 ANSWER_S = 0.1
 """Longest wait for an answer [s]."""
 SECOND_ANSWER_WAIT_S = 0.005
-"""Wait for a second answer after the first [s]."""
+"""Time after the first answer in which a second answer is awaited [s]."""
 
 
 class RoundTrip(NamedTuple):
-    """Result of a measurement.
+    """Result of a measurement of the round-trip time.
 
     Attributes:
-        answers: number of answers.
+        answers: number of requests with an answer.
         asked: number of requests sent.
         shortest: shortest round-trip time [s], NaN without an answer.
         median: median round-trip time [s], NaN without an answer.
         longest: longest round-trip time [s], NaN without an answer.
-        twice: number of requests with more than one answer. A second drive with the same number
-            answers too.
+        twice: number of requests with more than one answer. This happens if two drives have the
+            same number.
     """
 
     answers: int
@@ -38,12 +41,15 @@ class RoundTrip(NamedTuple):
 
     @property
     def twins(self) -> bool:
-        """Return True if most requests had more than one answer, as from two drives with one number."""
+        """Return True if most requests had more than one answer, because two drives have the same number."""
         return self.twice > self.asked / 2
 
 
 def round_trip(bus: Bus, node: DiscoveredNode, times: int = REQUESTS) -> RoundTrip:
-    """Measure the round-trip time of a node with one request at a time."""
+    """Measure the round-trip time of a node.
+
+    Each request is sent after the answer to the previous one.
+    """
     trips = [_measure_once(bus, node) for _ in range(times)]
     took = sorted(first for first, _ in trips if first is not None)
     twice = sum(more for _, more in trips)
@@ -53,12 +59,12 @@ def round_trip(bus: Bus, node: DiscoveredNode, times: int = REQUESTS) -> RoundTr
 
 
 def _measure_once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
-    """Send a request, and return the time to the answer [s] and True if a second answer follows.
+    """Send a request. Return the time until the answer [s], and True if a second answer follows.
 
     The time is None if no answer arrives.
     """
     discovery = DISCOVERIES[node.protocol]
-    bus.drain()  # a late reply to the request before is not used
+    bus.drain()  # a late answer to the previous request must not count
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
     first = None
@@ -71,5 +77,5 @@ def _measure_once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
             break
         time.sleep(
             0.0001 if passed < 0.01 else 0.002
-        )  # often at first for accuracy, then rarely to save CPU time
+        )  # short pauses at first for accuracy, longer ones later to save CPU time
     return first, answers > 1

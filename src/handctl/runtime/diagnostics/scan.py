@@ -1,8 +1,8 @@
-"""Scan of a bus for drives.
+"""Scan of a CAN bus that finds the drives and other nodes on the bus.
 
 The scan listens first, and sends requests only if no other host is active on the bus.
 
-No frame sent by the scan is a command.
+The scan sends no commands to drives, only requests.
 """
 
 import time
@@ -15,26 +15,28 @@ from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
 MAX_BURST_FRAMES = 4
-"""Largest number of frames sent together. The queue of an interface may have only 10 frames."""
+"""Largest number of frames sent in each PAUSE_S.
+
+An interface may have a queue of only 10 frames.
+"""
 PAUSE_S = 0.003
-"""Pause after a burst [s]."""
+"""Time in which MAX_BURST_FRAMES frames may be sent, and pause after a refused frame [s]."""
 TRIES = 50
 """Number of attempts to send a frame refused by the interface."""
 
 
 IGNORED_FRAMES = 1
-"""Number of frames from another host that are ignored. A host that has just ended may have sent them.
-"""
+"""Number of ignored frames from another host. A host that has just ended may have sent them."""
 Listen = Callable[[Bus, float, list[Frame]], None]
 """Function that collects the frames received on a bus during a time [s]."""
 
 
 class Scan(NamedTuple):
-    """Result of a scan.
+    """Result of a scan of a bus.
 
     Attributes:
-        found: drives, by protocol and number.
-        foreign: received frames from another host. With such frames the scan has sent no request.
+        found: discovered drives and other nodes, by protocol and number.
+        foreign: received frames from another host. If there are any, the scan has sent no request.
         omitted: requests not sent, because a drive on the bus would have obeyed them as commands.
         events: events of the bus during the scan.
         frames: number of received frames.
@@ -48,7 +50,7 @@ class Scan(NamedTuple):
 
 
 def receive_for(bus: Bus, for_s: float, seen: list[Frame]) -> None:
-    """Append the frames received during a time [s] to ``seen``."""
+    """Append the frames received on a bus during a time [s] to ``seen``."""
     end = time.monotonic() + for_s
     while True:
         seen += bus.drain()
@@ -65,8 +67,8 @@ def scan_bus(
 
     Args:
         bus: open bus.
-        force: send requests although another host seems to be active.
-        report: function to call with a text about each step.
+        force: True to send requests even if another host seems to be active.
+        report: function that receives a text about each step of the scan.
         listen: function to collect frames during a time, see ``Listen``.
     """
     seen: list[Frame] = []
@@ -89,15 +91,15 @@ def scan_bus(
 
 
 def requests_without_answers() -> tuple[Frame, ...]:
-    """Return the requests sent by a scan on a bus without any answer."""
+    """Return the requests of a scan on a bus without any answer."""
     return tuple(frame for turn in ROUNDS for frame in _round_requests(turn, [], []))
 
 
 def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
-    """Return the requests of all protocols in a round of the scan.
+    """Return the requests of all protocols for a round of the scan.
 
-    A request that a drive of another protocol on the bus would obey as a command is appended to
-    ``omitted`` instead.
+    A drive of another protocol on the bus may obey a request as a command. Such a request is
+    appended to ``omitted`` instead.
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
@@ -108,7 +110,7 @@ def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[
 
 
 def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
-    """Return the command identifiers of each discovered drive with another protocol than ``name``."""
+    """Return the command identifiers of each discovered drive whose protocol is not ``name``."""
     others = (discovery for other, discovery in DISCOVERIES.items() if other != name)
     return [discovery.command_ids(node) for discovery in others for node in discovery.nodes(seen)]
 
@@ -116,7 +118,8 @@ def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
 def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
     """Return the received frames from another host.
 
-    Identifiers of discovered drives with another protocol do not count as foreign.
+    A frame does not count if its identifier is a command identifier of a discovered drive of
+    another protocol.
     """
     foreign: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
@@ -126,9 +129,9 @@ def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
 
 
 def _send(bus: Bus, frame: Frame, seen: list[Frame], listen: Listen) -> bool:
-    """Send a frame, with pauses in which frames are received.
+    """Send a frame, and receive frames in the pause after it.
 
-    Returns False if the interface refused it.
+    Returns False if the interface has refused the frame ``TRIES`` times.
     """
     for _ in range(TRIES):
         if bus.send((frame,)):

@@ -1,8 +1,8 @@
-"""Torque-step test: turn a shaft a little and bring the shaft to rest, with torques below a limit.
+"""Torque-step test: turning a shaft a little and bringing the shaft to rest, with torques below a limit.
 
-The test also measures the inertia of the shaft. A free shaft with an inertia of 1e-4 kg m2
-accelerates fast. Braking with a gain independent of the inertia would make the shaft oscillate,
-because the measured velocity is about 30 ms old.
+The test also measures the inertia of the shaft. A shaft without a load, with an inertia of 1e-4 kg
+m2, accelerates fast. The measured velocity is about 30 ms old. Braking with a fixed gain would
+therefore make such a shaft oscillate, so the gain depends on the inertia.
 """
 
 import math
@@ -14,25 +14,28 @@ from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 PERIOD_S = PERIOD_NS * 1e-9
 """Period of a tick [s]."""
 MOVED_RAD = 0.05
-"""Smallest angle that counts as a motion [rad]."""
+"""Smallest angle that counts as a motion of the shaft [rad]."""
 RAMP_S = 1.0
-"""Duration of the ramp to the torque limit [s]."""
+"""Duration of the torque ramp from zero to the limit [s]."""
 COAST_TICKS = 12
-"""Number of ticks until the measured velocity shows the whole effect of a torque pulse."""
+"""Number of ticks after a torque pulse until the measured velocity shows its whole effect."""
 MAX_REST_VELOCITY_RAD_S = 0.1
-"""Largest velocity of a shaft at rest [rad/s]."""
+"""Largest measured velocity at which a shaft counts as at rest [rad/s]."""
 MAX_BRAKE_S = 4.0
 """Longest duration of braking [s]."""
 BRAKE_TIME_CONSTANT_S = 0.2
-"""Time constant of the brake, far longer than the delay of the measured velocity [s]."""
+"""Time constant with which braking reduces the velocity [s].
+
+It is far longer than the delay of the measured velocity.
+"""
 
 
 class TorqueStep(NamedTuple):
     """Response of a shaft to a torque ramp.
 
     Attributes:
-        moved: angle in the direction of the torque, minus the angle of coasting without torque
-            [rad].
+        moved: angle in the direction of the torque, minus the angle by which the shaft would have
+            coasted anyway [rad].
         torque: last commanded torque [N m].
         reported: torque reported by the drive at the end of the ramp [N m].
         enabled: True if the drive was enabled until the end.
@@ -45,7 +48,7 @@ class TorqueStep(NamedTuple):
 
 
 def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
-    """Raise the torque until the shaft has moved by MOVED_RAD or the limit is reached. Then coast.
+    """Raise the torque until the shaft has moved by MOVED_RAD or the limit is reached, then let the shaft coast.
 
     Args:
         rig: rig with an enabled drive.
@@ -79,7 +82,7 @@ def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
 def brake_shaft(rig: DriveRig, limit: float) -> bool:
     """Brake the shaft, and return True if the shaft is at rest.
 
-    Without a measured inertia the function waits until friction has stopped the shaft.
+    If the inertia has not been measured, the function waits until friction has stopped the shaft.
 
     Args:
         rig: rig with an enabled drive.

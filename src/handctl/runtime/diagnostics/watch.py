@@ -1,8 +1,8 @@
-"""Watch of the drives, load cells and joint encoders of a hand: readings without torque.
+"""Readings of the drives, load cells and joint encoders of a hand, while no drive makes torque.
 
-Every drive is polled as in the mode READY of a run: it is configured, its settings are read back,
-and its feedback is requested. No function here requests ENABLE, and ``DriveTarget.POLL`` disables a
-drive that is enabled.
+Every drive is polled as in the mode READY of a run: the drive is configured, its settings are read
+back, and its feedback is requested. No function here requests ENABLE, and ``DriveTarget.POLL``
+disables a drive that is enabled.
 """
 
 import math
@@ -20,16 +20,16 @@ from handctl.runtime.clocks.real import Clock
 from handctl.runtime.diagnostics.scan import receive_for
 
 LISTEN_S = 0.5
-"""Time before the first frame is sent, in which another host is detected [s]."""
+"""Time for which the bus is observed for another host, before the first frame is sent [s]."""
 STALE_S = 0.5
-"""Age after which a reading is no longer shown [s]."""
+"""Age above which a reading is too old to be shown [s]."""
 
 
 class Reading(NamedTuple):
     """Reading of a load cell [N] or of a joint encoder [rad].
 
     Attributes:
-        value: latest value as the node sends it, without tare. NaN before the first frame.
+        value: latest value as the node sends it, before any tare. NaN before the first frame.
         t_ns: time of reception [ns], -1 before the first frame.
     """
 
@@ -37,24 +37,24 @@ class Reading(NamedTuple):
     t_ns: int = -1
 
     def at(self, t_ns: int) -> float:
-        """Return the value, NaN if it is older than ``STALE_S`` at a time [ns]."""
+        """Return the value, or NaN if the value is older than ``STALE_S`` at the time ``t_ns`` [ns]."""
         return self.value if self.t_ns >= 0 and t_ns - self.t_ns <= STALE_S * 1e9 else math.nan
 
 
 def is_saturated(tension: float, cell_range: tuple[float, float]) -> bool:
-    """Return True if a load cell reading [N] is at an end of the range [N], as with a broken wire."""
+    """Return True if a load cell reading [N] is at an end of the range of the cell [N], as a broken wire causes."""
     return not cell_range[0] < tension < cell_range[1] and not math.isnan(tension)
 
 
 @dataclass
 class BusWatch:
-    """Poll of all nodes of a hand. No drive makes torque.
+    """Poll of all drives and sensors of a hand. No drive makes torque.
 
     Attributes:
         drives: drives of the hand.
         sensors: the sensor node. It may have no frames.
-        buses: open buses, in the order of the hand.
-        clock: clock that was started. Its period is the period of the requests.
+        buses: open buses, in the order of the hand file.
+        clock: a started clock. All nodes are polled once per period of the clock.
         states: state of each drive.
         amplifiers: state of each measuring amplifier.
         tensions: reading of each load cell, by index of the tendon.
@@ -73,7 +73,7 @@ class BusWatch:
     k: int = 0
 
     def __post_init__(self) -> None:
-        """Begin without a reading."""
+        """Start with the initial state of each drive and without readings."""
         self.states = [drive.initial() for drive in self.drives]
         node = self.sensors
         self.amplifiers = [amplifier.initial() for amplifier in node.amplifiers]
@@ -86,7 +86,10 @@ class BusWatch:
     def other_host(
         self, for_s: float = LISTEN_S, listen: Callable[[Bus, float, list[Frame]], None] = receive_for
     ) -> str:
-        """Listen for a time [s], and return the first frame that only a host sends as text. Empty without one."""
+        """Listen for a time [s], and return the identifier of the first frame that only a host sends.
+
+        The text is empty if no host sends frames.
+        """
         own = {(drive.bus, can_id) for drive in self.drives for can_id in drive.host_ids}
         own |= {(self.sensors.bus, can_id) for can_id in self.sensors.host_ids}
         seen: list[Frame] = []
@@ -95,7 +98,7 @@ class BusWatch:
         return next((f"{frame.can_id:#x}" for frame in seen if (frame.bus, frame.can_id) in own), "")
 
     def tick(self) -> None:
-        """Wait for the next tick, receive all frames, and send the requests of the tick."""
+        """Wait for the next tick, process all received frames, and send the requests of the tick."""
         self.clock.wait(self.k)
         for bus in self.buses:
             for frame in bus.drain():
@@ -112,27 +115,27 @@ class BusWatch:
         self.k += 1
 
     def release(self) -> None:
-        """Send the frames after which the drives tolerate a silent host."""
+        """Send the frames after which the drives accept that the host sends nothing more."""
         pairs = zip(self.drives, self.states, strict=True)
         self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
 
     def silent(self) -> list[str]:
-        """Return the names of the motors without feedback for ``STALE_S``."""
+        """Return the names of the motors whose latest feedback is older than ``STALE_S``."""
         now = self.clock.now_ns()
         return [drive.name for drive, age in zip(self.drives, self.ages_s(now), strict=True) if not age <= STALE_S]
 
     def ages_s(self, now_ns: int) -> list[float]:
-        """Return the age of the latest feedback of each drive [s], infinity before the first."""
+        """Return the age of the latest feedback of each drive [s], infinity for a drive that has sent none."""
         times = [state.feedback_t_ns for state in self.states]
         return [(now_ns - t_ns) * 1e-9 if t_ns >= 0 else math.inf for t_ns in times]
 
     def _receive(self, frame: Frame) -> None:
-        """Give a received frame to the sensors or to the drives."""
+        """Pass a received frame to the measuring amplifiers, and to the sensor readings or the drives."""
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)
             if group in self.sensors.group_ranges[i] and self.amplifiers[i].phase != Phase.READY:
-                return  # before the set-up the unit of the readings is unknown
+                return  # before the amplifier is set up, the unit of its readings is unknown
         if group < 0:
             for n, drive in enumerate(self.drives):
                 self.states[n] = drive.receive(self.states[n], frame)
@@ -142,7 +145,8 @@ class BusWatch:
         table = self._tables[group]
         kinds = [signal.quantity for signal in table.message.signals]
         decoded = zip(kinds, table.unpack(frame.data), strict=True)
-        # An amplifier may send NaN for an overload.
+        # An amplifier may send NaN for an overload. The reading is then set to the low end of the
+        # range.
         low = self.sensors.cell_range[0]
         values = [low if math.isnan(value) else value for kind, value in decoded if kind != Quantity.COUNTER]
         into = self.tensions if group < self.sensors.tension_frames else self.angles

@@ -1,4 +1,4 @@
-"""Fault declarations.
+"""Declarations of all faults.
 
 The modules are imported in the order of the catalogue, because the order of import numbers the
 faults.

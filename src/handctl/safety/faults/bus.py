@@ -1,4 +1,4 @@
-"""Rows B01 to B18: faults of the bus."""
+"""Rows B01 to B18 of the fault catalogue: faults of the bus."""
 
 from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import (
@@ -18,18 +18,18 @@ from handctl.safety.limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
 
 WINDOW = 100
 SHORT_WINDOW = 20
-"""Number of last ticks in which lost frames are counted, and in which malformed frames are counted [ticks]."""
+"""Number of recent ticks in which lost frames are counted, and number in which malformed frames are counted."""
 HOLD_LOSSES = 20
 RELAX_LOSSES = 40
-"""Lost frames within ``WINDOW`` ticks above which the reaction is HOLD, and above which RELAX."""
+"""Number of a node's lost frames within ``WINDOW`` ticks above which the reaction is HOLD, or RELAX."""
 MALFORMED_LIMIT = 3
-"""Number of malformed frames from a node within ``SHORT_WINDOW`` ticks for a fault."""
+"""Number of malformed frames from a node within ``SHORT_WINDOW`` ticks from which there is a fault."""
 UNKNOWN_LIMIT = 50.0
-"""Number of frames with unknown identifiers per second for a fault."""
+"""Number of frames with unknown identifiers per second above which there is a fault."""
 NO_ACKNOWLEDGE_KINDS = ("no acknowledge", "bus error", "protocol")
 """Texts of the error frames that an interface reports if no node on the bus acknowledges."""
 
-# Texts of the catalogue's columns for protocols that do not show a fault directly.
+# Texts of the fault catalogue, for protocols with which a fault is not visible directly.
 _COUNTER = (
     f"{REPLACED}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives by N14, "
     "because their replies have no counter"
@@ -40,7 +40,7 @@ _BESIDE = f"{LOST}: excess replies look like cyclic messages, which come in addi
 SILENCE_REASON = (
     "30 ms of silence, because a busy host is sometimes late. While other motors reply, 4 ticks are enough (B17)"
 )
-"""Reason for the reaction times of B02 and N02."""
+"""Reason for the reaction times of the faults B02 and N02."""
 _SILENCE = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} ticks in a row"
 
 declare_row("B01", "one frame lost", ticks=2, required=2)
@@ -138,7 +138,7 @@ B11A = declare_fault(
     cause="A node or another program sends without pause (babbling idiot).",
     remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
-# B11b has the condition of B11a and a longer debounce, which makes it the second stage.
+# B11b has the condition of B11a, but a longer debounce. So it is the second stage of this fault.
 B11B = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
     Action.CUT, OPERATOR, HAND, debounce=10, name="bus",

@@ -1,4 +1,4 @@
-"""Types of the faults and of the rows of the fault catalogue, and functions to declare them.
+"""Types for faults and for rows of the fault catalogue, and functions to declare them.
 
 A row of the catalogue describes a possible failure. A fault is a row, or a stage of a row, that is
 checked in every tick. Each row and each fault is declared once, in the module of its kind: ``bus``,
@@ -27,7 +27,7 @@ MOTOR = "motor"
 JOINT = "joint"
 NODE = "node"
 HAND = "hand"
-"""Kinds of fault instances.
+"""Kinds of instances in which a fault can occur.
 
 ``NODE`` includes motors and the sensor node. A fault of ``HAND`` has a single instance.
 """
@@ -35,7 +35,7 @@ HAND = "hand"
 DETECTED = "detected"
 REPLACED = "replaced"
 LOST = "lost"
-"""Visibility of a fault with a protocol: detected, detected only by a weaker sign that replaces it, or not visible."""
+"""Visibility of a fault with a protocol: detected, replaced by a weaker sign, or not visible."""
 TICK = "fault table"
 ARMING = "before arming"
 DRIVE = "the drive itself"
@@ -45,7 +45,7 @@ FILES = "files"
 
 
 class CatalogueRow(NamedTuple):
-    """Row of the catalogue of failures.
+    """Row of the fault catalogue, which describes a possible failure.
 
     Attributes:
         id: identifier of the row.
@@ -83,14 +83,14 @@ class CatalogueRow(NamedTuple):
     robstride: str = ""
 
     def visibility(self, protocol: str) -> str:
-        """Return the visibility with a protocol, one of ``drives.motor_description.GUARDED``."""
+        """Return the visibility of the failure with a protocol, one of ``drives.motor_description.GUARDED``."""
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
     def latest_ms(self, rate_hz: float) -> float:
         """Return the longest reaction time at a control rate [ms].
 
-        With an ODrive, ``odrive_ms`` is added.
+        The result does not include ``odrive_ms``.
         """
         return self.ticks * 1e3 / rate_hz + self.ms
 
@@ -107,10 +107,10 @@ class Fault:
         clears: how the fault ends, ``OPERATOR`` or ``ITSELF``.
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
-        debounce: number of consecutive ticks with the fault after which it counts.
+        debounce: number of consecutive ticks with the fault after which it becomes active.
         relax_method: method of removing the torque if the action is RELAX.
         per: kinds of instances, empty for a reported fault.
-        name: name of the single instance of ``HAND``.
+        name: name of the single instance of a fault of ``HAND``.
         reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
             with ``recorder:``.
     """
@@ -130,7 +130,7 @@ class Fault:
 
     @property
     def reaction(self) -> str:
-        """Return the text for the reaction in tables, including the method of relaxing."""
+        """Return the name of the reaction for tables, including the method of relaxing."""
         return self.relax_method.value if self.action == Action.RELAX else self.action.name
 
     @property
@@ -140,19 +140,19 @@ class Fault:
 
     @property
     def row(self) -> str:
-        """Return the row of the catalogue, without the stage."""
+        """Return the identifier of the catalogue row, without the letter of the stage."""
         # Stages are marked by a letter a to d behind the two digits.
         return self.id.rstrip("abcd")
 
 
 CATALOGUE: list[CatalogueRow] = []
-"""All rows, in the order of their declaration."""
+"""All rows of the catalogue, in the order of their declaration."""
 TABLE: list[Fault] = []
 """All faults, in the order of their declaration."""
 DETECTOR_ROWS: list[tuple[Fault, str]] = []
 """Fault and kind of instance for each row of the detectors' result table.
 
-Kinds of one fault have adjacent rows.
+The kinds of instances of one fault have adjacent rows.
 """
 
 
@@ -183,7 +183,8 @@ def declare_fault(
     """
     declared = Fault(id_, title, detection, action, clears, cause, remedy, debounce, relax_method, per, name, reports)
     TABLE.append(declared)
-    # One detector row for each kind of instance. Detectors use the index of the first kind plus 1.
+    # The detectors' result table has one row for each kind of instance. For the second kind,
+    # detectors add 1 to the index of the first kind.
     first = len(DETECTOR_ROWS)
     DETECTOR_ROWS.extend((declared, kind) for kind in per)
     return first if per else -1

@@ -1,4 +1,4 @@
-"""Rows H01 to H15 and I01 to I10: faults of the host, and of files and inputs."""
+"""Rows H01 to H15 and I01 to I11 of the fault catalogue: faults of the host, and of files and inputs."""
 
 from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import (
@@ -16,9 +16,9 @@ from handctl.safety.faults.fault import (
 from handctl.safety.limits import MIN_STALLED_TICKS, STALLED_S
 
 LATE_FRACTION = 0.25
-"""Delay from which a tick counts as late, as a fraction of the period."""
+"""Delay of a tick's start above which the tick counts as late, as a fraction of the control period."""
 REFUSED_LIMIT = 3
-"""Number of malformed requests within a second for a fault."""
+"""Number of malformed requests within a second from which there is a fault."""
 FOREIGN = "foreign"
 """Kind of the event that reports a second controller."""
 
@@ -157,7 +157,7 @@ ON_HARDWARE: tuple[tuple[str, str], ...] = (
     ("T01", "cut a tendon in a grasp, from behind a screen"),
     ("H05", "kill -9 in a grasp, and time the drives with a current probe"),
 )
-"""Tests to do on hardware: row of the catalogue, and instruction.
+"""Tests that must be done on hardware: row of the catalogue, and instruction.
 
 ``docs/evidence/faults.md`` contains these tests as a checklist with dates.
 """

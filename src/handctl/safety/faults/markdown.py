@@ -6,9 +6,9 @@ from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.table import CATALOGUE, TABLE
 
 REQUIRED_MS = 5.0
-"""Tick period assumed in the project's fault catalogue [ms]."""
+"""Control period that the project's fault catalogue assumes [ms]."""
 RATE_HZ = 500.0
-"""Control rate for the times in the catalogue [Hz]. It is the rate of the packaged hand with one motor per digit."""
+"""Control rate for the reaction times in the catalogue [Hz], that of the packaged hand with one motor per digit."""
 
 
 def fault_table_markdown(table: tuple[Fault, ...] = TABLE) -> str:
@@ -19,7 +19,7 @@ def fault_table_markdown(table: tuple[Fault, ...] = TABLE) -> str:
 
 
 def fault_sections(table: tuple[Fault, ...] = TABLE) -> str:
-    """Return one Markdown section per fault, with what happened, causes, reaction and remedy."""
+    """Return one Markdown section per fault, with its condition, causes, reaction and remedy."""
     return "\n\n".join(
         f"### {f.id}: {f.title}\n\n"
         f"- **What happened:** {f.detection}.\n"
@@ -38,7 +38,7 @@ def catalogue_markdown(entries: tuple[CatalogueRow, ...] = CATALOGUE) -> str:
 
 
 def _catalogue_row(entry: CatalogueRow) -> str:
-    # A row may have several faults, its stages. It has no fault if it is not checked in ticks.
+    # The faults of a row are its stages. A row that is not checked in ticks has no faults.
     judged = ", ".join(f"{f.id} {f.action.name}" for f in TABLE if f.row == entry.id) or entry.where
     latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks_text(entry)} ticks"
     latest += f", ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""

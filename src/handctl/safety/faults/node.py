@@ -1,4 +1,4 @@
-"""Rows N01 to N17: faults of drives and sensors.
+"""Rows N01 to N17 of the fault catalogue: faults of drives and sensors.
 
 The inventory before arming checks N03 and N12.
 """
@@ -26,18 +26,18 @@ STUCK_S = 0.1
 STUCK_GOAL_M = 0.5e-3
 STUCK_TENSION_N = 8.0
 STUCK_JOINT_DEG = 10.0
-"""Longest time with a constant sensor reading while a reference moves, and motion of each reference for a fault.
+"""Thresholds for a stuck sensor: time with a constant reading, and motion of each of its references in this time.
 
-For a motor the goal moves by 0.5 mm, or the tension changes by 8 N (80 um of tendon stretch). For a
-joint the angle by the spools changes by 10 degrees.
+A motor's encoder is stuck if meanwhile the goal moves by 0.5 mm, or the tension changes by 8 N (80
+um of tendon stretch). A joint encoder is stuck if the angle by the spools changes by 10 degrees.
 """
 SLIP_WARN_DEG = 3.0
 SLIP_TRIP_DEG = 6.0
 """Difference between joint encoder and spool above which the reaction is WARN, and above which RELAX [deg]."""
 NOISE_FACTOR = 9.0
-"""Mean squared jerk of a noisy position, as a multiple of that expected from drive torque and encoder rounding."""
+"""Mean squared jerk of a noisy position, as a multiple of the value expected from torque and encoder rounding."""
 WARM_TICKS = 20
-"""Number of consecutive ticks with a high temperature for a fault."""
+"""Number of consecutive ticks with a high temperature after which there is a fault."""
 NOT_OBEYED_N = 15.0
 """Difference between commanded and reported torque above which there is a fault, converted to tension [N]."""
 SWING_N = 8.0
@@ -65,7 +65,7 @@ REPORTED_FRACTION = 0.4
 REPORTED_S = 0.25
 """Smallest ratio of reported to commanded torque changes, and time constant of the comparison [s]."""
 
-# Texts of the catalogue's columns for protocols that do not show a fault directly.
+# Texts of the fault catalogue, for protocols with which a fault is not visible directly.
 _BEAT = f"{DETECTED}: by the heartbeat, every 100 ms"
 _BESIDE = f"{LOST}: excess replies look like cyclic messages, which come in addition to replies"
 _JOINTS = f"{REPLACED}: only with joint encoders, else the motor's encoder has no reference"

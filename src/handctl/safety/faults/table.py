@@ -15,15 +15,15 @@ CATALOGUE: tuple[CatalogueRow, ...] = tuple(declared.CATALOGUE)
 DETECTOR_ROWS: tuple[tuple[Fault, str], ...] = tuple(declared.DETECTOR_ROWS)
 """Fault and kind of instance for each row of the detectors' result table."""
 DEBOUNCE = np.array([fault.debounce for fault, _ in DETECTOR_ROWS], dtype=np.int64)
-"""(rows,) number of consecutive ticks after which a fault counts."""
+"""(rows,) number of consecutive ticks after which a fault becomes active."""
 ACTIONS = np.array([int(fault.action) for fault, _ in DETECTOR_ROWS], dtype=np.int64)
-"""(rows,) reaction to the fault."""
+"""(rows,) reaction to the fault, a number of ``Action``."""
 
 REPORTS: dict[str, tuple[Fault, ...]] = {
     kind: tuple(fault for fault in TABLE if kind in fault.reports)
     for kind in dict.fromkeys(kind for fault in TABLE for kind in fault.reports)
 }
-"""Faults reported by each kind of event from a bus, the host, or the recorder."""
+"""Faults that each kind of event from a bus, the host, or the recorder reports."""
 
 
 def remedy_for(text: str) -> str:

@@ -1,4 +1,7 @@
-"""Rows T01 to T09: faults of tendons and their load cells. Commissioning checks T07."""
+"""Rows T01 to T09 of the fault catalogue: faults of tendons and their load cells.
+
+Commissioning checks T07.
+"""
 
 from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import (
@@ -30,12 +33,12 @@ SLACK_WARN_S = 0.05
 SLACK_TRIP_S = 0.5
 """Duration of slack above which the reaction is WARN, and above which RELAX [s]."""
 RELAXED_S = 0.1
-"""Time from the start of relaxing after which a tendon whose motor obeys is below the trip limit [s]."""
+"""Time after the start of relaxing in which the tension falls below its trip limit if the motor obeys [s]."""
 RESIDUAL_WARN_N = 5.0
 RESIDUAL_TRIP_N = 10.0
 """Unexplained tension above which the reaction is WARN, and above which RELAX [N]."""
 FRICTION_WARN_N = 3.0
-"""Friction in excess of the hand file above which there is a fault [N]."""
+"""Friction in excess of the friction in the hand file above which there is a fault [N]."""
 CELL_TICKS = 40
 CELL_FORCE_N = 5.0
 """Thresholds for a stuck load cell: equal readings in a row, and change of the motor force during these readings [N].
@@ -44,7 +47,7 @@ The noise of a healthy load cell is eight counts.
 """
 MIN_REPEATS = 8
 REPEAT_WINDOW = 16
-"""Number of repeated readings in a row before their probability is tested, and readings that estimate it."""
+"""Number of repeated readings from which their probability is tested, and number of readings that estimate it."""
 SATURATED_TICKS = 3
 """Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_DEG = 15.0

@@ -1,1 +1,1 @@
-"""Identification of a hand's parameters: excitation, fit, identifiability."""
+"""Identification of the parameters of a hand: excitation of its digits, fit of a model, and identifiability."""

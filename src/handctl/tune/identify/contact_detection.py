@@ -1,15 +1,15 @@
 """Detection of a contact during the sweeps of a digit, from the residuals of the fit.
 
-A contact adds tension from a certain angle on, and the added tension grows as the digit closes. The
-fit attributes most of this tension to the springs, but no parameter can reproduce the kink.
-Therefore a ramp that begins at some angle is added to the linearised fit. The score is the size of
-the ramp in standard deviations, fitted together with all parameters.
+If a digit touches an obstacle at some angle, additional tension begins at this angle and grows as
+the digit closes. The fit attributes most of this tension to the springs, but no parameter can
+reproduce the kink. Therefore a ramp of tension that begins at some angle is fitted together with
+all parameters, in the linearised fit. The score is the size of the ramp in standard deviations.
 Source: score test (Rao 1948).
 
-A contact over the whole sweep causes no kink. A digit with n joints, one of them immobile, then
-behaves like a freely moving digit with springs n / (n - 1) times as stiff and (n - 1) / n of the
-preload. The travel distinguishes the two cases: if the digit closes farther than n - 1 joints can,
-all joints move.
+A contact over the whole sweep causes no kink. If a contact blocks one of n joints during the whole
+sweep, the digit behaves like a free digit with other springs. These springs have n / (n - 1) of the
+stiffness and (n - 1) / n of the preload. The travel distinguishes the two cases: if the digit
+closes farther than n - 1 joints can, all joints move.
 """
 
 from collections.abc import Sequence
@@ -20,42 +20,45 @@ import numpy as np
 from handctl.tune.identify.data import Array
 
 CONTACT_SCORE = 4.5
-"""Smallest score that counts as a contact, for a digit with one tendon."""
+"""Smallest score of a ramp that counts as a contact, for a digit with one tendon."""
 MULTI_TENDON_CONTACT_SCORE = 6.0
-"""Smallest score that counts as a contact, for a digit with several tendons.
+"""Smallest score of a ramp that counts as a contact, for a digit with several tendons.
 
-Hands without contact (20 seeds, parameters wrong by up to 30 %) have scores up to 3.1 with one
-tendon and 3.9 with several. With several tendons a ramp is tried at every joint, and errors of
-joint encoders are neglected. A jamia finger that touches the thumb between 14 and 25 degrees has
-scores from 4.7 to 17.
+In simulations without contact (20 seeds, parameters wrong by up to 30 %), scores reach 3.1 for
+digits with one tendon and 3.9 for digits with several. With several tendons, a ramp is tried at
+every joint, and errors of joint encoders are neglected. A finger of the hand jamia that touches the
+thumb between 14 and 25 degrees has scores from 4.7 to 17.
 """
 CLEAR_SCORE = 3.0
-"""Score below which a fit may prove that a digit was not blocked."""
+"""Largest score of a ramp in a fit that proves that the digit was not blocked."""
 MIN_CLEAR_ROWS = 80
-"""Smallest number of rows in a fit that proves that a digit was not blocked."""
+"""Smallest number of rows of the sweep in a fit that proves that the digit was not blocked."""
 MAX_CLEAR_MEAN_SQUARE = 1.5
-"""Largest mean square of the residuals in a fit that proves that a digit was not blocked."""
+"""Largest mean square of the residuals in a fit that proves that the digit was not blocked."""
 MAX_CLEAR_OUTLIERS = 0.005
-"""Largest fraction of outliers in a fit that proves that a digit was not blocked."""
+"""Largest fraction of outliers in a fit that proves that the digit was not blocked."""
 RAMP_STARTS = 40
-"""Number of start angles tried for a ramp."""
+"""Number of angles at which a ramp is tried to begin."""
 END_FRACTION = 0.04
-"""Fraction of the sweep at each end in which no ramp may begin, because too few rows would determine it."""
+"""Fraction of the sweep at each end in which no ramp may begin.
+
+Too few rows would determine such a ramp.
+"""
 MIN_OWN_FRACTION = 1e-6
-"""Smallest fraction of the squared norm of a ramp that the parameters do not explain."""
+"""Smallest part of the squared norm of a ramp that the parameters must leave unexplained, as a fraction."""
 
 
 class Ramp(NamedTuple):
     """Ramp with the largest score in the residuals of a fit.
 
     Attributes:
-        score: size in standard deviations, positive if the ramp adds tension.
+        score: size of the ramp in standard deviations, positive if the ramp adds tension.
         begin: mean joint angle at which the ramp begins [rad].
-        end: largest angle of the sweep [rad].
+        end: largest mean joint angle of the sweep [rad].
         rise: tension [N] or joint torque [N m] of the ramp at angle ``end``.
-        rows: number of rows in the sweep.
-        outliers: fraction of rows excluded by the fit.
-        mean_square: mean square of the residuals without outliers.
+        rows: number of bins in the sweep.
+        outliers: fraction of the sweep's rows that the fit excluded as outliers.
+        mean_square: mean square of the sweep's residuals without outliers.
         contact_score: smallest score that counts as a contact of this digit.
     """
 
@@ -70,7 +73,7 @@ class Ramp(NamedTuple):
 
     @property
     def is_contact(self) -> bool:
-        """Return True if the digit has touched an obstacle."""
+        """Return True if the ramp shows that the digit touched an obstacle."""
         return abs(self.score) >= self.contact_score
 
     @property
@@ -88,12 +91,12 @@ def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, un
     """Return the ramp with the largest score, or None if the fit has no sweep.
 
     Args:
-        jacobian: (rows, parameters) of the fit, with rows of zeros for outliers.
+        jacobian: (rows, parameters) Jacobian of the fit, in which the rows of outliers are zero.
         residual: (rows,) measured minus expected values, in standard deviations.
         first: row at which the sweep begins.
         angle: (m,) mean joint angle of the sweep's bins [rad].
-        units: residuals (m k,) caused by a tension of 1 N or a torque of 1 N m, k rows per bin, for
-            every kind of ramp.
+        units: for every kind of ramp, residuals (m k,) that a tension of 1 N or a torque of 1 N m
+            causes, with k rows per bin.
     """
     if not len(angle) or not units:
         return None
@@ -114,7 +117,7 @@ def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, un
         for unit in units:
             column = np.zeros(len(residual))
             column[rows] = shape * unit
-            # The score uses only the part of the ramp outside of that span.
+            # Only the part of the ramp outside of that span has an effect on the score.
             orthogonal = column - basis @ (basis.T @ column)
             size = float(orthogonal @ orthogonal)
             if size > MIN_OWN_FRACTION * float(column @ column):
@@ -126,15 +129,16 @@ def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, un
 
 
 def are_joints_moving(joint_count: int, preload: float, half_width: float, travel: float, full: float) -> bool:
-    """Return True if all joints of a digit with one tendon move.
+    """Return True if preload and travel of a digit with one tendon show that all its joints move.
 
     Args:
         joint_count: number of joints.
         preload: identified preload of the springs, divided by that of the hand file.
-        half_width: half width of the interval of the preload.
+        half_width: half width of the confidence interval of this ratio.
         travel: largest excursion of the digit [m].
-        full: excursion with all joints at their closed ends [m].
+        full: excursion when all joints are at their closed ends [m].
     """
-    # The limit is halfway between the preload with n moving joints, 1, and with n - 1, (n - 1) / n.
+    # The preload ratio is 1 if all n joints move, and (n - 1) / n if one is blocked. The limit is
+    # halfway between.
     stiff = 1.0 - 0.5 / joint_count
     return preload + half_width >= stiff or travel > full * (joint_count - 1) / joint_count

@@ -1,4 +1,4 @@
-"""Data of a tendon from a log: travel, tension, and torque at the same times, and their use in the fit."""
+"""Data of a tendon from a log: travel, tension and torque at equal times, and masks for the equations of the fit."""
 
 import json
 from dataclasses import dataclass, replace
@@ -17,28 +17,31 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SLACK_STEPS = ("tare",)
-"""Names of steps in which the tendon is slack."""
+"""Names of the steps of an excitation in which the tendon is slack."""
 STOP_STEPS = ("stretch",)
-"""Names of steps in which the tendon is taut and the digit is at its open stop."""
+"""Names of the steps in which the tendon is taut and the digit is at its open stop."""
 FREE_STEPS = ("sweep",)
-"""Names of steps in which the digit moves freely."""
+"""Names of the steps in which the digit moves freely."""
 CONTACT_PHASES = ("close", "open")
-"""Names of steps in which a contact begins or ends. The motor force may jump within a sample."""
+"""Names of the steps in which a contact begins or ends.
+
+The motor force may jump within one sample.
+"""
 SETTLE_S = 0.02
-"""Time excluded at the beginning of a step [s]."""
+"""Time at the beginning of each step whose data are not used [s]."""
 TRANSIENT_S = 0.35
-"""Time until the springs have opened the digit or the tendon is slack [s]."""
+"""Time after which the springs have opened the digit and a relaxed tendon is slack [s]."""
 STOP_DISTANCE_DEG = 2.0
-"""Distance from a stop within which the stop may carry part of the load [deg]."""
+"""Distance from a joint stop below which the stop may carry part of the load [deg]."""
 MIN_TENSION_N = 2.0
 """Tension above which a tendon counts as taut [N]."""
 
 
 @dataclass(frozen=True, slots=True)
 class TendonData:
-    """Data of a tendon while its digit is excited.
+    """Measurements and commands of a tendon while its digit is excited.
 
-    Row j of every array belongs to the time t = j periods.
+    Row j of every array belongs to the same time, j periods after the first row.
 
     Attributes:
         tendon: name of the tendon.
@@ -46,13 +49,13 @@ class TendonData:
         period: control period [s].
         t: (n,) time on the log's clock [s].
         travel: (n,) travel at the spool [m], NaN where missing.
-        tension: (n,) load cell without its tare [N], NaN where missing.
+        tension: (n,) reading of the load cell minus its tare [N], NaN where missing.
         command: (n,) motor force at the tendon, commanded from this time on [N].
-        joints: (n, joints) joint encoders of the digit [rad], NaN where missing.
-        slack: (n,) True if the tendon is slack. The load cell then shows its offset.
+        joints: (n, joints) readings of the joint encoders of the digit [rad], NaN where missing.
+        slack: (n,) True if the tendon is slack, so that the load cell shows its offset.
         stop: (n,) True if the tendon is taut and the digit is at its open stop.
         free: (n,) True if the tendon is taut and the digit moves freely.
-        acting: (n,) True if the motor equation is valid.
+        acting: (n,) True if the motor equation holds from this time to the next.
     """
 
     tendon: str
@@ -72,21 +75,21 @@ class TendonData:
 def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     """Return the data of every excited tendon, or of all tendons if the log has no excitation.
 
-    The measurements received in a tick were taken at the time of the previous tick. Therefore
-    measurements are shifted by one tick.
+    The measurements that the controller receives in a tick were taken at the previous tick.
+    Therefore measurements are shifted by one tick.
 
     Args:
         log: log of any run.
-        hand: hand of the run.
+        hand: description of the hand of the run.
     """
     period = log.header.period_ns * 1e-9
     phases = phase_of_each(log.phases, log.k)
     excited = {name.partition(" ")[0] for name in phases if name.partition(" ")[2] in (*STOP_STEPS, *FREE_STEPS)}
     settle = round(SETTLE_S / period)
     transient = round(TRANSIENT_S / period)
-    # The last tick has no later measurement, so every array ends one tick early.
+    # No measurement follows the last tick. Therefore every array ends one tick early.
     active = (log.mode == Mode.ACTIVE)[:-1]
-    # A missed tick breaks the equation between a command and the next measurement.
+    # The equation between a command and the next measurement does not hold over a missed tick.
     consecutive = np.append(np.diff(log.k) == 1, True)[:-1]
     contact = log.field("contact")[:-1]
     gain = _logged_gain(log, len(hand.tendon))
@@ -133,16 +136,16 @@ def _logged_gain(log: RunLog, tendons: int) -> list[float]:
 
 
 def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
-    """Return True if a tendon belongs to a digit."""
+    """Return True if the tendon with an index in the hand belongs to a digit."""
     tendons = hand.digit_tendons[digit]
     return bool(tendons.start <= tendon < tendons.stop)
 
 
 def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
-    """Return a mask of the ticks in which a digit has followed a trajectory for a while, away from its stops."""
+    """Return a mask of the ticks in which a digit has followed a trajectory for some time, away from its stops."""
     joints = hand.digit_joints[digit]
     (digit_file,) = (candidate for candidate in hand.digit if candidate.name == digit)
-    # A stop carries a part of the load near the ends of a joint's range.
+    # Near the ends of a joint's range, the joint stop carries a part of the load.
     q = np.degrees(log.field("q")[:, joints])
     margin = STOP_DISTANCE_DEG
     inside = (q > np.array(digit_file.joint_min_deg) + margin) & (q < np.array(digit_file.joint_max_deg) - margin)
@@ -152,13 +155,13 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
 
 def _lasting_mask(mask: Mask, late: int) -> Mask:
     """Return a mask that is True where `mask` has been True for more than `late` ticks."""
-    # Index of the latest False up to each tick, -1 before the first.
+    # `last` is the index of the latest False up to each tick, -1 before the first False.
     last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
     return np.asarray(np.arange(len(mask)) - last > late)
 
 
 def _step_mask(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:
-    """Return a mask of the ticks in some steps of a digit, without the first `settle` ticks of each step."""
+    """Return a mask of the ticks in the named steps of a digit, without the first `settle` ticks of each step."""
     inside = np.isin(phases, [f"{digit} {step}" for step in steps])
     settled = inside.copy()
     for shift in range(1, settle):
@@ -188,7 +191,7 @@ def _restrict_to_excitation(data: TendonData, phases: NDArray[np.str_], digit: s
 
 
 def average_samples(values: Array, reach: int) -> Array:
-    """Return means over `reach` samples on each side, NaN at the ends."""
+    """Return the mean of each sample and `reach` samples on each side, NaN at the ends."""
     means = np.full(len(values), np.nan)
     width = 2 * reach + 1
     if len(values) >= width:

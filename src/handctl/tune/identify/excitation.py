@@ -1,4 +1,7 @@
-"""Excitation of a digit for identification, within its limits. Takes about twenty seconds."""
+"""Excitation of a digit for the identification, within the limits of the digit.
+
+It takes about twenty seconds per digit.
+"""
 
 import math
 
@@ -9,41 +12,44 @@ from handctl.programs.excite import ExciteStep
 from handctl.tune.identify.excitation_antagonists import antagonist_steps
 
 SWEEP_MARGIN_DEG = 6.0
-"""Margin of free sweeps to the open stop and the closed ends [deg]."""
+"""Smallest distance of free sweeps from the open stop and from the closed ends of the joints [deg]."""
 SWEEP_TOP_DEG = 32.0
-"""Upper end of free sweeps, measured from the open stop [deg].
+"""Upper end of free sweeps, as an angle from the open stop [deg].
 
-Beyond this angle the fingers of the packaged hands touch thumb or palm.
+At larger angles, the fingers of the packaged hands touch thumb or palm.
 """
 SWING_DEG = 9.0
-"""Amplitude of the sinusoidal swing [deg]."""
+"""Amplitude of the sinusoidal swing of the joints [deg]."""
 SWING_LOW_HZ = 0.7
 """Lowest frequency of the swing [Hz]."""
 SWING_HIGH_HZ = 6.0
 """Highest frequency of the swing [Hz]."""
 PRESS_FRACTIONS = (0.08, 0.15, 0.5)
-"""Tension after the presses, and the lower and upper tension of a press, as fractions of the largest tension.
+"""Three tensions, as fractions of the largest tension of the tendon.
 
-A motor 30 % weaker than in the hand file reaches only two thirds of the commanded tension. At
-higher tensions the monitor would report a wrong load cell (T04b).
+They are the tension after the presses, and the lower and the upper tension of a press against an
+obstacle.
+
+A motor that is 30 % weaker than in the hand file reaches only two thirds of the commanded tension.
+At higher tensions, the monitor would report a wrong load cell (T04b) on such a hand.
 """
 MIN_TENSION_N = 1.1
-"""Lower tension of a stretch at the open stop, relative to the slack limit [N]."""
+"""Lower tension when a tendon is stretched at the open stop [N]."""
 LIFT_FRACTION = 0.6
-"""Upper tension of a stretch, as a fraction of the tension at which the digit leaves its open stop.
+"""Upper tension of a stretch at the open stop, as a fraction of the tension that lifts the digit off this stop.
 
-This tension is computed with the springs of the hand file.
+The lifting tension is calculated with the springs of the hand file.
 """
 MIN_STRETCH_RANGE_N = 0.5
-"""Smallest tension range of a stretch [N].
+"""Smallest difference between the upper and the lower tension of a stretch [N].
 
-A smaller range would be hidden in the noise of the load cell.
+A smaller difference would be hidden in the noise of the load cell.
 """
 STRETCH_S = 0.9
-"""Duration of a stretch [s].
+"""Duration of a stretch up or down [s].
 
-The friction of the motor exceeds the tension, and the gains may be low. On faster ramps the tension
-would change by only a third of its range.
+The friction of the motor is larger than the tension, and the gains may be low. On faster ramps, the
+tension would change by only a third of the commanded range.
 """
 STRETCHES = 4
 """Number of stretches up and down."""
@@ -52,11 +58,11 @@ SWEEP_S = (0.8, 0.3, 0.55, 0.8)
 
 
 def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
-    """Return the steps for the named digits, one digit after the other.
+    """Return the steps that excite the named digits, one digit after the other.
 
     Raises:
-        ConfigError: A digit does not exist or lacks load cells, or its springs are too weak to stretch its
-            tendon on the open stop.
+        ConfigError: A digit does not exist or lacks load cells, or its springs are too weak to hold
+            it on the open stop while its tendon is stretched.
     """
     check_identifiable(hand, digits)
     for name in digits:
@@ -81,7 +87,7 @@ def is_sprung(hand: Hand, digit: str) -> bool:
 
 
 def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
-    """Check that digits have what the fits need: a load cell on every tendon that is not a spool pair.
+    """Check that all tendons of the named digits have a load cell, except spool pairs.
 
     Raises:
         ConfigError: A digit does not exist, or lacks load cells.
@@ -148,7 +154,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
 
 
 def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
-    """Return the angle range for free sweeps of a digit's joints [deg]."""
+    """Return the smallest and the largest joint angle of the free sweeps of a digit [deg]."""
     digit_file = hand.digit_named(digit)
     lower = max(digit_file.joint_min_deg)
     upper = min(digit_file.joint_max_deg)
@@ -156,7 +162,7 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
 
 
 def lift_off_tension(hand: Hand, digit: str) -> float:
-    """Return the tension at which a joint leaves its open stop, without friction and weight [N]."""
+    """Return the tension at which the first joint leaves its open stop, without friction and weight [N]."""
     digit_file = hand.digit_named(digit)
     model = DigitModel.of(hand, digit)
     arms = abs(model.arms_at(model.joint_min)).sum(axis=0)
@@ -166,5 +172,6 @@ def lift_off_tension(hand: Hand, digit: str) -> float:
         arms.tolist(),
         strict=True,
     )
-    # Virtual work: the tension times its arm balances the spring at the open stop.
+    # By virtual work, the tension times its moment arm balances the torque of the spring at the
+    # open stop.
     return min(float(stiffness * angle / arm) for stiffness, angle, arm in preload if arm > 0.0)

@@ -1,8 +1,8 @@
-"""Excitation of a digit that tendons close and open: n + 1 tendons without springs, or spool pairs.
+"""Excitation of a digit that tendons both close and open: n + 1 tendons without springs, or spool pairs.
 
-The digit sweeps about a posture. Its joints first move together, then against each other, so that
-every tendon winds while others pay out. Then the digit swings. At the end its tendons are stretched
-while the digit rests on its lower stops.
+First the digit sweeps about a posture. Its joints move together, and then against each other, so
+that each tendon winds while others pay out. Then the digit swings. At the end, its tendons are
+stretched while the digit rests on its lower stops.
 """
 
 import math
@@ -16,23 +16,23 @@ from handctl.hand.tree import HandTree
 from handctl.programs.excite import ExciteStep
 
 LOWEST_DEG = 0.0
-"""Smallest joint angle of the sweeps [deg]. Below this angle a thumb may touch the palm."""
+"""Smallest joint angle of the sweeps [deg]. At smaller angles, a thumb may touch the palm."""
 HIGHEST_DEG = 32.0
 """Largest joint angle of the sweeps [deg].
 
-Beyond this angle fingers of the packaged hands touch thumb or palm.
+At larger angles, the fingers of the packaged hands touch thumb or palm.
 """
 STOP_MARGIN_DEG = 6.0
 """Smallest distance of the sweeps from the joint limits [deg]."""
 SIDEWAYS_DEG = (-2.0, 12.0)
 """Ends of sweeps that move a digit sideways [deg].
 
-The range is small because of the neighbouring digits.
+The range is small because neighbouring digits are close.
 """
 SWEEP_S = (0.8, 0.45, 0.45)
-"""Durations of the moves from one end of a sweep to the other [s]."""
+"""Durations of the motions from one end of a sweep to the other [s]."""
 SWING_DEG = 9.0
-"""Largest amplitude of the swing [deg]."""
+"""Largest amplitude of the sinusoidal swing of the joints [deg]."""
 SWING_S = 3.0
 """Duration of the swing [s]."""
 SWING_LOW_HZ = 0.7
@@ -40,58 +40,61 @@ SWING_LOW_HZ = 0.7
 SWING_HIGH_HZ = 6.0
 """Highest frequency of the swing [Hz]."""
 SWING_TORQUE = 0.25
-"""Largest torque of the swing, as a fraction of the motor's largest torque."""
+"""Largest motor torque during the swing, as a fraction of the motor's torque limit."""
 STRETCH_FRACTION = 0.3
-"""Largest tension of a stretch, as a fraction of the largest tension.
+"""Largest tension while a tendon is stretched, as a fraction of ``tension_max_N``.
 
-The tendons that hold the digit open have this tension for seconds. At higher tensions a motor that
-makes 30 % less torque than commanded would be reported as a wrong load cell (T04b) or as an
+The tendons that hold the digit open have this tension for seconds. At higher tensions, the monitor
+would mistake a motor that makes 30 % less torque than commanded for a wrong load cell (T04b) or an
 oscillation (N14b).
 """
 PAIR_LOW_FRACTION = 0.07
-"""Smallest net tension of a stretched spool pair, as a fraction of the largest tension."""
+"""Smallest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``."""
 CLOSE_FRACTION = 0.12
-"""Net tension with which spool pairs move their digit to its lower stops, as a fraction of the largest tension."""
+"""Net tension with which spool pairs move their digit to its lower stops, as a fraction of ``tension_max_N``."""
 CLOSE_S = 2.5
-"""Time for the motion of spool pairs to the lower stops [s]. The control law damps this motion."""
-OPEN_S = 1.5
-"""Time for the motion of spool pairs back from the lower stops [s]."""
-MAX_TORQUE_RATIO = 0.7
-"""Largest torque of a stretched tendon, as a fraction of the torque with which the other tendons open the digit."""
-TAUT_TENSION_RATIO = 1.3
-"""Tensions that take up slack, as a multiple of the smallest tensions in balance with each other."""
-COUNTER_MOTION_FRACTION = 0.5
-"""Amplitude of a coordinate that moves against the others, as a fraction of the full amplitude.
+"""Time in which spool pairs move their digit to its lower stops [s].
 
-With the full amplitude, tendons that pass both joints would not move.
+The control law damps this motion.
+"""
+OPEN_S = 1.5
+"""Time in which the digit moves back from its lower stops [s]."""
+MAX_TORQUE_RATIO = 0.7
+"""Largest joint torque of a stretched closing tendon, as a fraction of the opening torque of the other tendons."""
+TAUT_TENSION_RATIO = 1.3
+"""Tensions that take up the slack, divided by the smallest tensions that balance each other."""
+COUNTER_MOTION_FRACTION = 0.5
+"""Amplitude of a coordinate that moves against the other coordinates, as a fraction of its full amplitude.
+
+At full amplitude, a tendon that crosses both joints would not move.
 """
 RATE_N_PER_S = 250.0
-"""Rate of the tension while a tendon is stretched [N/s].
+"""Rate at which the tension changes while a tendon is stretched [N/s].
 
-At this rate the spool is so fast that the sign of its friction is known.
+At this rate, the spool turns fast enough that the direction of its friction is known.
 """
 SETTLE_S = 0.06
-"""Time after a stretch [s]."""
+"""Waiting time after a stretch [s]."""
 STRETCHES = 5
 """Number of stretches up and down of each tendon that is not a spool pair."""
 PAIR_STRETCHES = 10
-"""Number of stretches up and down of the spool pairs of a digit.
+"""Number of stretches up and down of all spool pairs of a digit.
 
 All pairs are stretched at once.
 """
 PAIR_HIGH_FRACTION = 0.65
-"""Largest net tension of a stretched spool pair, as a fraction of the largest tension.
+"""Largest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``.
 
-Beyond twice the pretension one of the two tendons is slack. This tension must be well beyond that
-point.
+If the net tension exceeds twice the pretension, one of the two tendons is slack. The largest net
+tension must be well above this point.
 """
 
 
 def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
-    """Return the steps of a digit that tendons close and open.
+    """Return the steps that excite a digit which tendons both close and open.
 
     Args:
-        hand: description.
+        hand: description of the hand.
         name: name of the digit.
     """
     digit = DigitModel.of(hand, name)
@@ -137,7 +140,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
 
 def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
-    """Return the smallest and the largest coordinates (n_c,) of the sweeps of a digit [rad]."""
+    """Return the smallest and the largest reduced coordinates (n_c,) of the sweeps of a digit [rad]."""
     least, most = digit.reach
     margin = math.radians(STOP_MARGIN_DEG)
     low = np.maximum(least + margin, math.radians(LOWEST_DEG))
@@ -148,10 +151,14 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
 
 
 def _sign_patterns(count: int) -> list[Array]:
-    """Return factors (count,) on the motion of the coordinates: all together, then each one against the others."""
+    """Return factors (count,) for the motion of the coordinates.
+
+    First all coordinates move together, then each one against the others.
+    """
     patterns = [np.ones(count)]
     if count > 1:
-        # With two coordinates a single pattern has both opposite motions.
+        # With two coordinates, one pattern is enough, because each coordinate moves against the
+        # other.
         patterns += [
             np.where(np.arange(count) == i, -COUNTER_MOTION_FRACTION, 1.0) for i in range(count if count > 2 else 1)
         ]
@@ -159,7 +166,7 @@ def _sign_patterns(count: int) -> list[Array]:
 
 
 def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array) -> Array:
-    """Return the amplitudes (n_c,) of the swing [rad], for which the motors are strong enough."""
+    """Return amplitudes (n_c,) of the swing for which the motors are strong enough [rad]."""
     tree = HandTree.of(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle
@@ -175,25 +182,27 @@ def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array)
 
 
 def _limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
-    """Return floor and largest tension of the stretches of a digit's tendons, (n_t,) each [N]."""
+    """Return the tension floors of a digit's tendons and their largest tensions while stretched, (n_t,) each [N]."""
     tendons = hand.tendon[digit.tendons]
     floor = np.array([tendon.tension_floor_N for tendon in tendons])
     return floor, STRETCH_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
 
 
 def _balance(hand: Hand, digit: DigitModel) -> Array:
-    """Return tensions (n_t,) above the floor whose joint torques cancel [N]."""
+    """Return tensions (n_t,) above the tension floors whose joint torques cancel each other [N]."""
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
     ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon])
     return TAUT_TENSION_RATIO * redundancy_of_hand((digit,), floor, ceiling, hand.is_pair).balance
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return the tensions of the digit at rest, and the tensions before and after each stretch on its lower stops [N].
+    """Return the tensions with which a digit rests, and the lower and upper tensions of each stretch [N].
+
+    The tendons are stretched while the digit rests on its lower stops.
 
     All spool pairs are stretched at once. Without spool pairs, all tendons that open the digit are
-    stretched at once. Then each tendon that closes the digit is stretched alone, up to a torque at
-    which the opening tendons still hold the digit open.
+    stretched at once. Then each tendon that closes the digit is stretched alone. Its torque stays
+    small enough that the opening tendons hold the digit open.
     """
     floor, largest = _limits(hand, digit)
     if hand.is_pair[digit.tendons].any():

@@ -1,4 +1,4 @@
-"""Figure of an identification: measurements, model, and difference from the hand file."""
+"""Figure of an identification: measurements, fitted model, and differences from the hand file."""
 
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,11 @@ WARN = "#999999"
 
 
 def draw_identification(path: Path, result: TendonResult, title: str) -> None:
-    """Draw the identification result of a tendon as PNG.
+    """Draw the result of the identification of a tendon as a PNG file.
 
     Args:
         path: path of the file to write.
-        result: result of the tendon.
+        result: result of the identification of the tendon.
         title: title of the figure.
     """
     import matplotlib
@@ -61,7 +61,7 @@ def _draw_stop(axis: Any, result: TendonResult) -> None:
         axis.text(0.5, 0.5, "no such data", ha="center", transform=axis.transAxes)
         return
     order = np.argsort(bins.travel)
-    # Tendon and stop are springs in series.
+    # The tendon and the open stop are springs in series.
     slope = stop_stiffness(values["tendon_stiffness"], values["stop_softness"], result.fit.problem.nominal)
     axis.plot(
         1e6 * bins.travel,
@@ -136,7 +136,7 @@ def _draw_coherence(axis: Any, result: TendonResult) -> None:
 
 
 def _draw_parameters(axis: Any, result: TendonResult) -> None:
-    """Draw every identified parameter relative to the hand file, with its confidence interval."""
+    """Draw every identified parameter as a ratio to the value of the hand file, with its confidence interval."""
     names = [name for name in UNITS if name != "delay"]
     values = result.fit.values
     widths = result.fit.half_widths

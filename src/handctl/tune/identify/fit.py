@@ -1,8 +1,8 @@
-"""Simultaneous fit of all parameters of a tendon to all equations.
+"""Fit of all parameters of a tendon to all its equations at once.
 
-The slow drift of the load cell is fitted too.
+The slow drift of the load cell is fitted together with them.
 
-Parameters are divided by the values of the hand file, so that they are of order 1. Residuals are
+Parameters are divided by their values in the hand file, so that they are of order 1. Residuals are
 divided by the standard deviation of the load cell.
 """
 
@@ -28,67 +28,67 @@ PARAMETER_NAMES = (
 )  # fmt: skip
 """Names of a tendon's parameters in the order of the fit.
 
-The drift of the load cell follows after these names.
+In the vector of the fit, the drift of the load cell follows after these parameters.
 """
 LOAD_PARAMETERS = slice(PARAMETER_NAMES.index("tendon_stiffness"), PARAMETER_NAMES.index("stretch_offset") + 1)
-"""Indexes of the parameters in `fit_load.LoadParameters`."""
+"""Indexes of the parameters that `fit_load.LoadParameters` contains."""
 SCALE_DELAY_S = 1e-3
-"""Scale of the delay [s]."""
+"""Scale of the parameter `delay` [s]."""
 SCALE_OFFSET_M = 1e-4
-"""Scale of the stretch offset [m]."""
+"""Scale of the parameter `stretch_offset` [m]."""
 PRIOR = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 100.0}
-"""Prior standard deviation of parameters with prior knowledge, divided by the scale of the parameter.
+"""Prior standard deviation of the parameters about which there is prior knowledge, divided by their scale.
 
-The masses of the links were weighed, so they are well known. The stretch offset is practically
-unknown.
+The masses of the links are well known, because the links were weighed. The stretch offset is
+practically unknown.
 """
 STOP_SOFTNESS = 0.04
-"""Compliance of the open stop, as a fraction of the tendon's compliance in the hand file.
+"""Compliance of the open stop, as a fraction of the compliance of the tendon in the hand file.
 
-Tendon and stop are springs in series, and no measurement separates the two. Therefore this value is
-an assumption with an uncertainty of half the value. In the packaged simulator the compliance of the
+Tendon and stop are springs in series, and no measurement separates them. Therefore this value is
+assumed, with an uncertainty of half the value. In the packaged simulator the compliance of the
 stops at the tendon is 3.8e-7 m/N, which is 0.038 of the tendon's compliance.
 """
 DEFAULT_PRIOR_DEVIATION = 3.0
-"""Prior relative standard deviation of all other parameters.
+"""Prior standard deviation of all parameters that are not in `PRIOR`, divided by their scale.
 
 This prior keeps a fit finite if the data do not determine a parameter.
 """
 TARE_SIGMA_N = 1.0
 """Prior standard deviation of the offset of a tared load cell [N]."""
 DRIFT_KNOT_S = 1.0
-"""Time between the knots of the drift [s]."""
+"""Time between the knots of the load cell's drift [s]."""
 STOP_BIN_S = 0.05
-"""Length of bins at the open stop [s].
+"""Duration of the bins of data at the open stop [s].
 
-At the stop the travel changes slowly. In a bin of this length the travel passes enough encoder
-counts for the quantisation to average out.
+At the stop, the travel changes slowly. In a bin of this duration, it passes enough encoder counts
+for the quantisation to average out.
 """
 MIN_SCALE = 0.02
-"""Lower bound of scaled parameters."""
+"""Lower bound of scaled parameters that must be positive."""
 MAX_SCALE = 20.0
-"""Upper bound of scaled parameters."""
+"""Upper bound of scaled parameters that must be positive."""
 CONFIDENCE = 0.95
 """Confidence level of all intervals."""
 MAX_HALF_WIDTH = 0.5
-"""Largest half width of the interval of an identified parameter, as a fraction of the value."""
+"""A parameter counts as identified if the half width of its interval is at most this fraction of its value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Input of a fit.
+    """Input of the fit of a tendon.
 
     Attributes:
         spool: radius of the spool [m].
-        nominal: (15,) scale of each parameter, from the hand file.
-        load: model of the digit, None if it has several tendons.
-        motor: windows of the motor equation.
-        free: bins in free motion.
-        stop: bins on the open stop.
-        slack: bins with a slack tendon.
-        knots: (k,) times of the drift's knots [s].
+        nominal: (15,) scale of each parameter, mostly its value in the hand file.
+        load: model of the digit, None if the digit has several tendons or no springs.
+        motor: time windows of the motor equation.
+        free: bins of data in which the digit moves freely.
+        stop: bins of data in which the digit is on the open stop.
+        slack: bins of data in which the tendon is slack.
+        knots: (k,) times of the knots of the load cell's drift [s].
         sigma: standard deviation of a load-cell sample [N].
-        step: standard deviation of the drift from knot to knot [N].
+        step: standard deviation of the change of the drift from knot to knot [N].
     """
 
     spool: float
@@ -104,10 +104,10 @@ class Problem:
 
     @staticmethod
     def of(data: TendonData, hand: Hand) -> "Problem":
-        """Return the problem for the data of a tendon.
+        """Return the input of the fit for the data of a tendon.
 
         Raises:
-            LogError: The tendon does not move in the log.
+            LogError: The tendon does not move enough in the log.
         """
         motor = hand.motor_of(data.tendon)
         digit = DigitModel.of(hand, data.digit)
@@ -120,7 +120,8 @@ class Problem:
             raise LogError(f"{data.tendon} hardly moves", "the log", "a run in which it moves")
         sprung = any(digit.spring_stiffness)
         single = digit.moment_arms.shape[0] == 1
-        # Without springs the joint encoders measure the stretch, see `fit_travel`.
+        # For a digit without springs, the joint encoders measure the stretch of the tendon, see
+        # `fit_travel`.
         stop = data.stop & sprung
         return Problem(
             spool=spool,
@@ -132,8 +133,8 @@ class Problem:
             slack=bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
             knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
             sigma=_cell_noise(data.tension[data.slack | stop], hand.sensor_node.tension_noise_N),
-            # The drift is a random walk, whose standard deviation grows with the square root of
-            # time. The hand file has the standard deviation after 100 s.
+            # The drift is a random walk. Its standard deviation increases with the square root of
+            # time, and the hand file has the value after 100 s.
             step=max(hand.sensor_node.tension_bias_drift_N, 1e-3) * (DRIFT_KNOT_S / 100.0) ** 0.5,
         )
 
@@ -145,7 +146,10 @@ class Problem:
         return np.append(first, np.zeros(len(self.knots)))
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return lower and upper bounds of the scaled parameters. Physical sizes stay positive."""
+        """Return lower and upper bounds of the scaled parameters.
+
+        Only delay and stretch offset may be negative.
+        """
         free = np.full(len(PARAMETER_NAMES) + len(self.knots), np.inf)
         low = -free
         high = free
@@ -155,24 +159,28 @@ class Problem:
         return low, high
 
     def _first_offset(self) -> float:
-        """Return the stretch offset from data at the stop [m], or from the smallest travel in free motion."""
+        """Return a first estimate of the stretch offset [m].
+
+        It comes from the data at the stop, or else is the smallest travel in free motion.
+        """
         stiffness = self.nominal[PARAMETER_NAMES.index("tendon_stiffness")]
         if len(self.stop.t):
             return float(np.mean(self.stop.travel - self.stop.tension / stiffness))
         return float(self.free.travel.min()) if len(self.free.t) else 0.0
 
     def residuals(self, z: Array) -> Array:
-        """Return the residuals (rows,) in standard deviations: motor, stop, slack, free, drift, priors."""
+        """Return the residuals (rows,) in standard deviations, in the order motor, stop, slack, free, drift, priors."""
         p = z[: len(PARAMETER_NAMES)] * self.nominal
         drift = z[len(PARAMETER_NAMES) :]
         return np.concatenate([*self._data_residuals(p, drift), *self._prior_residuals(z, drift)])
 
     def _data_residuals(self, p: Array, drift: Array) -> list[Array]:
-        """Return the residuals of the measured data."""
+        """Return the residuals of the measured data in standard deviations: motor, stop, slack, free."""
         gain, inertia, viscous, coulomb, delay, stiffness = p[:6].tolist()
         m = self.motor
         r = self.spool
-        # The motor equation: driving force less inertia and friction is the tension.
+        # By the motor equation, the tension is the driving force minus the forces of inertia and
+        # friction.
         driven = gain * m.command(delay)
         losses = (inertia / r * m.acceleration + viscous / r * m.speed) / r + coulomb / r * m.sign
         rows = [(driven - losses - (m.tension - self._cell_offset(m.t, drift))) / (self.sigma * m.spread)]
@@ -185,7 +193,7 @@ class Problem:
         return rows
 
     def _expected_tensions(self, p: Array, stiffness: float) -> list[tuple[Bins, Array]]:
-        """Return the bins with their expected tensions."""
+        """Return the bins of data with the tensions that the model expects."""
         rows = [
             (
                 self.stop,
@@ -203,13 +211,13 @@ class Problem:
         return np.asarray(np.interp(t, self.knots, drift))
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
-        """Return the residuals of drift and prior knowledge."""
+        """Return the residuals of the load cell's drift and of the prior knowledge."""
         spread = np.array([PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES])
         return [np.diff(drift) / self.step, drift[:1] / TARE_SIGMA_N, (z[: len(PARAMETER_NAMES)] - 1.0) / spread]
 
 
 def parameter_scales(hand: Hand, tendon: str) -> Array:
-    """Return the scale (15,) of each parameter of a tendon, from the hand file."""
+    """Return the scale (15,) of each parameter of a tendon, mostly its value in the hand file."""
     known = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
     scales = np.array([
@@ -222,22 +230,22 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
 
 
 def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
-    """Return the stiffness of tendon and stop in series [N/m]."""
+    """Return the stiffness of the tendon and the open stop in series [N/m]."""
     # Compliances in series add up.
     return stiffness / (1.0 + softness * stiffness / float(nominal[PARAMETER_NAMES.index("tendon_stiffness")]))
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Result of a fit.
+    """Result of the fit of a tendon.
 
     Attributes:
         problem: input of the fit.
-        z: scaled parameters, drift included.
+        z: scaled parameters, followed by the drift.
         covariance: covariance of the scaled parameters.
-        freedom: degrees of freedom of each parameter's variance.
+        freedom: degrees of freedom of the variance of each parameter.
         sensitivity: (rows, 15) weighted Jacobian of the data rows.
-        residual: (rows,) residuals, priors included.
+        residual: (rows,) residuals, including those of the priors.
         ramp: ramp of tension in the residuals of the free sweeps, None without free sweeps.
     """
 
@@ -251,18 +259,22 @@ class Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """Return the parameters in SI units. Factors on a value of the hand file have no unit."""
+        """Return the parameters by name, in SI units.
+
+        Factors that multiply a value of the hand file have no unit.
+        """
         return dict(zip(PARAMETER_NAMES, (self.z[: len(PARAMETER_NAMES)] * self.problem.nominal).tolist(), strict=True))
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """Return half the width of each 95 % interval, in the unit of the parameter."""
+        """Return half the width of the 95 % confidence interval of each parameter, in the unit of the parameter."""
         return self.half_widths_of(1)
 
     def half_widths_of(self, count: int) -> dict[str, float]:
-        """Return half the widths of intervals that cover `count` parameters simultaneously with 95 %.
+        """Return half the widths of intervals that together contain `count` parameters with a probability of 95 %.
 
-        Source: Sidak (1967), conservative for parameters that are not independent.
+        Source: Sidak (1967). The intervals are wider than necessary if parameters are not
+            independent.
         """
         spread = np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)] * self.problem.nominal
         wide = student.ppf(0.5 + 0.5 * CONFIDENCE ** (1.0 / count), self.freedom[: len(PARAMETER_NAMES)])
@@ -270,7 +282,7 @@ class Fit:
 
 
 def fit_tendon(problem: Problem) -> Fit:
-    """Fit all parameters of a tendon."""
+    """Fit all parameters of a tendon, and search a contact in the residuals."""
     times = _row_times(problem)
     solution = solve_least_squares(problem.residuals, problem.start(), problem.bounds(), times)
     sensitivity = solution.jacobian[: len(times), : len(PARAMETER_NAMES)]
@@ -287,7 +299,7 @@ def fit_tendon(problem: Problem) -> Fit:
 
 
 def _unexplained_ramp(problem: Problem, solution: Solution) -> Ramp | None:
-    """Return the ramp of tension in the residuals of the free sweeps."""
+    """Return the ramp of tension with the largest score in the residuals of the free sweeps, None without sweeps."""
     free = problem.free
     load = problem.load
     if load is None or not len(free.t):
@@ -304,7 +316,7 @@ def _unexplained_ramp(problem: Problem, solution: Solution) -> Ramp | None:
 
 
 def _row_times(problem: Problem) -> Array:
-    """Return the time of every data row, in the order of the residuals."""
+    """Return the time of every row of measured data, in the order of the residuals."""
     parts = [problem.motor.t, problem.stop.t, problem.slack.t]
     if problem.load is not None and len(problem.free.t):
         parts.append(problem.free.t)
@@ -312,18 +324,18 @@ def _row_times(problem: Problem) -> Array:
 
 
 def _cell_noise(quiet: Array, stated: float) -> float:
-    """Return the standard deviation of a load-cell sample [N].
+    """Return the standard deviation of a load-cell sample, estimated from the differences of neighbours [N].
 
     Args:
         quiet: tensions at rest and in slow stretches, where neighbouring samples differ only by noise [N].
-        stated: value of the hand file, used with too few samples [N].
+        stated: value of the hand file, which is returned if there are too few samples [N].
     """
     quiet = quiet[np.isfinite(quiet)]
     return stated if len(quiet) < 200 else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated, 1e-3)
 
 
 def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ...], source: Sequence[int]) -> Fit:
-    """Return a fit with some parameters replaced by parameters of another, independent fit.
+    """Return a fit in which some parameters are replaced by the results of another, independent fit.
 
     Args:
         fit: fit of one tendon.
@@ -355,7 +367,7 @@ def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ..
 def with_model_error(fit: Fit, errors: Mapping[str, float]) -> Fit:
     """Return a fit whose variances include errors of the model.
 
-    The scatter of the residuals does not show these errors.
+    The scatter of the residuals does not show such errors.
 
     Args:
         fit: fit of a tendon.

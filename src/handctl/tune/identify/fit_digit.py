@@ -2,11 +2,11 @@
 
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
-This is the balance of joint i in free motion. The exponent contains the wrap angle and the joint
-angles passed by tendon j up to joint i. The fits of the tendons give the drift of the load cells.
-The rows of the fit are torque balances, divided by the noise that the load cells cause in them.
-Errors of the joint encoders are neglected, because they have a tenth of the effect of load-cell
-errors. Source: as in `fit_load`.
+This equation is the torque balance of joint i in free motion. The exponent contains the wrap angle
+of tendon j and the angles of the joints that it crosses up to joint i. The drift of the load cells
+is known from the fits of single tendons. Each row of the fit is such a balance, divided by the
+noise that the load cells cause in it. Errors of the joint encoders are neglected, because their
+effect is a tenth of that of load-cell errors. Source: as in `fit_load`.
 """
 
 from collections.abc import Sequence
@@ -32,26 +32,26 @@ from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
 from handctl.tune.identify.solve import Solution, solve_least_squares
 
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
-"""Names of the factors for the whole digit, relative to the hand file.
+"""Names of the parameters that a digit has once. They are factors that multiply values of the hand file.
 
-The capstan coefficients of the tendons follow after these names.
+In the vector of the fit, the capstan coefficients of the tendons follow after these parameters.
 """
 HALF_WINDOW_S = 0.01
 """Time before and after a joint reading over which signals are averaged [s]."""
 MIN_SPEED_M_S = 2.5e-3
-"""Smallest speed required of every tendon [m/s].
+"""Smallest speed that all tendons of a digit must have in a sample that is used [m/s].
 
-At lower speeds the direction of friction is not known at every pulley.
+At lower speeds, the direction of friction is not known at every pulley.
 """
 STEP_S = 1e-4
-"""Step of the numerical derivative of moment arms along the joint rates, per rad/s [s]."""
+"""Time step of the numerical derivative of the moment arms along the motion of the joints [s]."""
 MIN_ROWS = 20
 """Smallest number of sample times for a fit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """Sample times of free motion with joint readings.
+    """Data of a digit at selected times at which it moves freely and the joint encoders were read.
 
     Attributes:
         digit: model of the digit.
@@ -60,9 +60,10 @@ class Balance:
         dq: (m, joints) joint rates [rad/s].
         rigid_body_torque: (m, joints) torque of inertia and weight [N m].
         tension: (m, tendons) load-cell tension, corrected for drift [N].
-        side: (m, tendons) sign of the tendon speeds.
+        side: (m, tendons) signs of the tendons' speeds.
         noise: (tendons,) noise of the averaged load cells [N].
-        drift_sigma: (tendons,) standard deviation of the load cells' remaining drift [N].
+        drift_sigma: (tendons,) standard deviation of the load-cell drift that remains after the
+            correction [N].
     """
 
     digit: DigitModel
@@ -77,11 +78,13 @@ class Balance:
 
     @staticmethod
     def of(digit: DigitModel, data: Sequence[TendonData], fits: Sequence[Fit]) -> "Balance | None":
-        """Return the balance of a digit from data and fits of its tendons, or None with too few sample times.
+        """Return the data of a digit for the fit, from data and fits of its tendons.
+
+        If too few times are usable, return None.
 
         Args:
             digit: model of the digit.
-            data: data of the tendons, in order.
+            data: data of the digit's tendons, in order.
             fits: fits of the same tendons.
         """
         first_tendon = data[0]
@@ -130,9 +133,9 @@ class Balance:
             angle = np.full(len(self.t), self.digit.wrap[j])
             for i, mean_arm in enumerate(arms.tolist()):
                 arm = present[..., j, i]
-                # A joint without this tendon adds no wrap.
+                # A joint that the tendon does not cross adds no wrap angle.
                 angle = angle + self.q[:, i] * (mean_arm != 0.0)
-                # The sign of the friction follows the direction of the tendon.
+                # The direction of the friction follows the motion of the tendon.
                 lost = np.clip(
                     -friction[j] * self.side[:, j] * angle,
                     -MAX_FRICTION_EXPONENT,
@@ -151,16 +154,20 @@ class Balance:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(arms.T @ np.diag(self.noise**2) @ arms)).T)
 
     def load(self, spring: float, preload: float, damping: float, mass: float) -> Array:
-        """Return the torque (m, joints) of springs, damping, inertia and weight [N m], for factors on the hand file."""
+        """Return the torque (m, joints) that springs, damping, inertia and weight need [N m].
+
+        The arguments are factors that multiply the values of the hand file.
+        """
         digit = self.digit
         springs = spring * np.array(digit.spring_stiffness) * (self.q + preload * np.array(digit.spring_preload))
         return np.asarray(springs + damping * np.array(digit.joint_damping) * self.dq + mass * self.rigid_body_torque)
 
 
 def _joint_rates(digit: DigitModel, q: Array, speed: Array, acceleration: Array) -> tuple[Array, Array]:
-    """Return joint rates [rad/s] and accelerations [rad/s^2], (m, joints), of speeds along the tendons, (m, tendons).
+    """Return joint rates [rad/s] and accelerations [rad/s^2], (m, joints), from those of the tendons, (m, tendons).
 
-    The acceleration of a tendon with varying moment arms has the additional part R' q'^2.
+    If moment arms R depend on the joint angle, the acceleration of a tendon has the additional part
+    R' q'^2.
     """
     if not digit.has_varying_arm:
         to_joints = digit.excursion_to_joints.T
@@ -172,7 +179,7 @@ def _joint_rates(digit: DigitModel, q: Array, speed: Array, acceleration: Array)
 
 
 def fit_digit(balance: Balance) -> Solution:
-    """Fit shared factors, capstan coefficients, and the offsets of the load cells.
+    """Fit the shared factors of a digit, the capstan coefficients of its tendons, and the offsets of its load cells.
 
     Factors and coefficients are relative to the hand file.
     """
@@ -206,7 +213,7 @@ def fit_digit(balance: Balance) -> Solution:
 
 
 def fits_with_digit(fits: Sequence[Fit], solution: Solution, balance: Balance) -> list[Fit]:
-    """Return the fits of the tendons with the parameters of the digit's fit.
+    """Return the fits of a digit's tendons, completed with the parameters from the fit of the digit.
 
     Each tendon gets its capstan coefficient. The first tendon also gets the shared factors.
     """
@@ -221,7 +228,7 @@ def fits_with_digit(fits: Sequence[Fit], solution: Solution, balance: Balance) -
 
 
 def _unexplained_ramp(solution: Solution, balance: Balance) -> Ramp | None:
-    """Return the ramp of torque at one joint in the residuals of the sweeps."""
+    """Return the ramp of the torque at a single joint with the largest score in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whiten]
     return steepest_ramp(solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units)
 
@@ -232,7 +239,7 @@ def _friction_scales(digit: DigitModel) -> Array:
 
 
 def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
-    """Return indices that are at least `spacing` apart, so that no sample is used twice."""
+    """Return a selection of the indices, at least `spacing` apart, so that averages do not share samples."""
     selected: list[int] = []
     for index in indices.tolist():
         if not selected or index - selected[-1] >= spacing:
@@ -241,7 +248,10 @@ def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]
 
 
 def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
-    """Return speed [m/s] and acceleration [m/s^2] of a tendon over twice the averaging time, NaN at the ends."""
+    """Return speed [m/s] and acceleration [m/s^2] of a tendon, NaN at the ends.
+
+    The differences span twice the time over which signals are averaged.
+    """
     x = data.travel
     step = 2 * reach
     speed = np.full(len(x), np.nan)
@@ -260,7 +270,7 @@ def _cell_drift(data: TendonData, fit: Fit) -> Array:
 
 
 def _drift_deviation(fit: Fit, t: Array) -> float:
-    """Return the standard deviation of a tendon's load-cell drift while the digit moves freely [N]."""
+    """Return the standard deviation of a load cell's drift during the times `t` [N]."""
     knots = fit.problem.knots
     used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(PARAMETER_NAMES)
     return max(float(np.sqrt(np.diag(fit.covariance)[used].mean())), 1e-3)

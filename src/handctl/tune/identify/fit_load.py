@@ -1,16 +1,16 @@
-"""Load model of a tendon: expected load-cell tension from the motor position.
+"""Load model of a tendon: the load-cell tension that is expected at a motor position.
 
-The model covers the open stop and free motion.
+The model is for a digit at its open stop or in free motion.
 
 At the open stop only the tendon stretches: f = k (x - o). In free motion each joint is in balance,
 
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 
-and the joints' excursions and the tendon's stretch add up to the travel: sum r_i q_i + f / k = x -
-o. If a moment arm depends on the joint angle, its integral replaces r_i q_i. The equations are
-solved for f, because the noise of the encoder is negligible compared with the noise of the load
-cell. S, P, m scale springs, preloads and masses of the hand file. Source: capstan equation, virtual
-work, equations of motion of `hand.dynamics`.
+and the excursions of the joints and the stretch of the tendon add up to the travel: sum r_i q_i + f
+/ k = x - o. If a moment arm depends on the joint angle, its integral replaces r_i q_i. The
+equations are solved for the tension f, because the noise of the encoder is negligible compared with
+the noise of the load cell. S, P and m are factors that multiply springs, preloads and masses of the
+hand file. Source: capstan equation, virtual work, equations of motion of `hand.dynamics`.
 """
 
 from dataclasses import dataclass
@@ -24,43 +24,43 @@ from handctl.hand.moment_arms import arms_at, excursions_at
 from handctl.tune.identify.data import Array, Mask, TendonData
 
 BIN_S = 0.01
-"""Length of a bin [s].
+"""Duration of a bin of samples [s].
 
-The motion within a bin is small, and binning reduces the rows of a fit to a fifth.
+The digit moves little during a bin. A fit with bins has a fifth of the rows.
 """
 MIN_SPEED_M_S = 4e-3
-"""Smallest speed of a tendon [m/s].
+"""Smallest speed of the tendon in a sample of free motion that is used [m/s].
 
-At lower speeds the direction of friction is not known at every pulley.
+At lower speeds, the direction of friction is not known at every pulley.
 """
 TABLE_ANGLES_RAD = np.radians(np.linspace(0.0, 110.0, 23))
-"""Mean joint angles for the table of inertia and weight [rad]."""
+"""Joint angles of the table of inertia and weight. All joints have the same angle [rad]."""
 NEWTON_STEPS = 14
-"""Number of Newton steps to solve for the tension."""
+"""Number of Newton steps with which the tension is calculated."""
 STEP_RAD = 1e-4
 """Step of the numerical derivative of a moment arm [rad]."""
 MIN_STIFFNESS_FRACTION = 0.2
 """Smallest effective stiffness of a joint, as a fraction of its spring's stiffness.
 
-A moment arm that grows with the angle reduces the effective stiffness.
+A moment arm that increases with the joint angle reduces the effective stiffness.
 """
 MAX_FRICTION_EXPONENT = 3.0
-"""Bound for the exponent of the capstan equation.
+"""Largest absolute exponent in the capstan equation.
 
-Only the first steps of a solver can reach this bound.
+The exponent can reach this bound only in the first steps of a solver.
 """
 
 
 class LoadParameters(NamedTuple):
-    """Fitted parameters, in SI units or as factors relative to the hand file.
+    """Fitted parameters of the load model, in SI units or as factors that multiply values of the hand file.
 
     Attributes:
         stiffness: stiffness of the tendon [N/m].
-        spring: factor on the spring stiffness.
-        preload: factor on the preload.
-        friction: capstan coefficient.
-        damping: factor on the joint damping.
-        mass: factor on the link masses.
+        spring: factor of the stiffness of the springs.
+        preload: factor of the preload of the springs.
+        friction: capstan coefficient of the tendon.
+        damping: factor of the joint damping.
+        mass: factor of the link masses.
         offset: stretch offset [m].
     """
 
@@ -75,10 +75,10 @@ class LoadParameters(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Bins:
-    """Averages of a tendon's signals over short times, (m,) each.
+    """Averages of the signals of a tendon over short times (bins), (m,) each.
 
     Attributes:
-        t: time [s].
+        t: mean time of each bin [s].
         travel: travel of the tendon [m].
         tension: load-cell tension [N].
         speed: speed of the tendon [m/s].
@@ -95,10 +95,10 @@ class Bins:
 
 
 def bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_S) -> Bins:
-    """Return averages over bins of the samples selected by a mask.
+    """Return averages of the samples that a mask selects, over bins of equal duration.
 
-    A bin is used if the mask is True throughout, all its samples were read, and, with `moving`, the
-    tendon moves in one direction.
+    A bin is used if the mask is True for all its samples, and if all its samples were read. If
+    `moving` is True, the tendon must also move in one direction during the bin.
     """
     count = max(1, round(bin_s / data.period))
     n = len(data.t) // count
@@ -112,7 +112,7 @@ def bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_S) -> Bi
     if moving:
         speeds = table(speed)
         complete &= np.abs(speeds).min(axis=1) > MIN_SPEED_M_S
-        # All signs of a bin are equal only if their sum is the number of samples.
+        # The signs in a bin are equal if the absolute value of their sum is the number of samples.
         complete &= np.abs(np.sign(speeds).sum(axis=1)) == count
 
     def mean(values: Array) -> Array:
@@ -122,7 +122,7 @@ def bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_S) -> Bi
 
 
 def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
-    """Return speed and acceleration by central differences over `reach` periods, zero at the ends."""
+    """Return speed and acceleration of a travel, from differences over `reach` periods, zero at the ends."""
     speed = np.zeros_like(travel)
     acceleration = np.zeros_like(travel)
     after = travel[2 * reach :]
@@ -135,17 +135,18 @@ def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Arr
 
 @dataclass(frozen=True, slots=True)
 class DigitLoad:
-    """Constants of a digit with one tendon, with n joints.
+    """Constants of a digit with one tendon and n joints, for the load model.
 
     Attributes:
-        arms: moment arms [m], the mean of one that depends on the angle.
+        arms: moment arms at the joints [m]. If an arm depends on the joint angle, its mean.
         spring: spring stiffness [N m/rad].
         preload: preload of the springs [rad].
         damping: joint damping [N m s/rad].
         wrap: wrap angle before the first pulley [rad].
-        inertia: (grid, n) torque per mean joint acceleration.
-        weight: (grid, n) torque of the weight [N m].
-        varying: digit with moment arms that depend on the angle, else None.
+        inertia: (grid, n) joint torque per acceleration of all joints together, at the angles of
+            the table.
+        weight: (grid, n) joint torque of the weight, at the angles of the table [N m].
+        varying: model of the digit if its moment arms depend on the joint angle, else None.
     """
 
     arms: Array
@@ -159,7 +160,7 @@ class DigitLoad:
 
     @staticmethod
     def of(digit: DigitModel) -> "DigitLoad":
-        """Return the constants of a digit."""
+        """Return the constants of a digit for the load model."""
         n = digit.joint_count
         return DigitLoad(
             arms=np.asarray(digit.moment_arms[0]),
@@ -173,7 +174,7 @@ class DigitLoad:
         )
 
     def mean_angle(self, excursion: Array) -> Array:
-        """Return the common angle of all joints (m,) with an excursion (m,) [rad]."""
+        """Return the angle (m,) that all joints have at an excursion (m,) if they turn equally [rad]."""
         if self.varying is None:
             return np.asarray(excursion / self.arms.sum())
         grid = [
@@ -212,8 +213,8 @@ class DigitLoad:
         stiffness = p.spring * self.spring
         q = [mean.copy() for _ in self.arms]
         f = np.full_like(mean, 10.0)
-        # Newton's method on the travel: the joints follow from the tension one by one, from the
-        # palm on.
+        # Newton's method changes the tension until the travel is right. From a tension, the joint
+        # angles follow one by one, beginning at the palm.
         for _ in range(NEWTON_STEPS):
             angle = np.full_like(mean, self.wrap)
             excursion = f / p.stiffness
@@ -228,13 +229,13 @@ class DigitLoad:
                 )
                 arm, bend, _ = self._joint(i, q[i])
                 rest = (arm - bend * q[i]) * f * friction_factor - extra[i] - stiffness[i] * p.preload * self.preload[i]
-                # An arm that grows with the angle acts against the spring.
+                # A moment arm that increases with the joint angle acts against the spring.
                 held = np.maximum(stiffness[i] - bend * f * friction_factor, MIN_STIFFNESS_FRACTION * stiffness[i])
                 q[i] = rest / held
                 angle = angle + q[i]
                 arm, _, taken_up = self._joint(i, q[i])
                 excursion = excursion + taken_up
-                # Derivative of the excursion by the tension.
+                # `slope` is the derivative of the excursion by the tension.
                 slope = slope + arm * arm * friction_factor / held
             f = np.maximum(f + (means.travel - p.offset - excursion) / slope, 0.1)
         return np.asarray(f)

@@ -1,10 +1,10 @@
-"""Motor equation in weak form: integrated with a smooth window, so that no measurement is differentiated.
+"""Motor equation in weak form: it is integrated with a smooth window, so that no measurement must be differentiated.
 
     K u(t - d) = J/r w' + b/r w + tau_c/r sgn w + r f      per window: all terms times a window, integrated by parts
 
-u is the commanded force at the tendon, w the speed of the spool, f the load cell. All terms are in
-newtons at the tendon. Source: modulating functions (Shinbrot 1954). Integration by parts moves the
-derivatives to the window, which is known exactly.
+u is the commanded force at the tendon, w the speed of the spool, f the tension at the load cell.
+All terms are forces at the tendon [N]. Source: modulating functions (Shinbrot 1954). Integration by
+parts moves the derivatives to the window, which is known exactly.
 """
 
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from handctl.tune.identify.data import Array, TendonData
 HALF_WINDOW_S = 0.022
 """Half the length of a window [s].
 
-The bandwidth of a window of this length covers the motion of a hand's motor. Half a window contains
-eleven load-cell samples at 500 Hz.
+A window of this length has enough bandwidth for the motion of a motor of a hand. Half of the window
+contains eleven load-cell samples at 500 Hz.
 """
 MIN_HALF_SAMPLES = 6
-"""Smallest half length of a window in samples.
+"""Smallest half length of a window [samples].
 
-The half length is a whole number of samples, because only then are the sums equal to the integrals.
+Half lengths are whole numbers of samples, because only then the sums equal the integrals.
 """
 SPACING_FRACTION = 0.4
 """Distance between the centres of windows, as a fraction of their half length."""
@@ -34,18 +34,19 @@ MIN_SPEED_RAD_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class MotorWindows:
-    """Windowed signals of a motor, (m,) each. Forces are at the tendon.
+    """Signals of a motor and its tendon, averaged with a window, (m,) each. Forces are at the tendon.
 
     Attributes:
-        t: centre of the window [s].
+        t: time at the centre of each window [s].
         tension: windowed tension [N].
         acceleration: windowed acceleration of the tendon [m/s^2].
         speed: windowed speed of the tendon [m/s].
         sign: sign of the speed.
-        commands: (m, taps) commands around each window [N].
-        offsets: (taps + 1,) edges of the commands' intervals from the centre [s].
+        commands: (m, taps) commanded forces during each window and shortly before and after [N].
+        offsets: (taps + 1,) times at which the commands change, relative to the centre of the
+            window [s].
         half_s: half the length of a window [s].
-        spread: factor by which a window changes the standard deviation of the tension noise [1].
+        spread: standard deviation of a windowed tension divided by that of a sample [1].
     """
 
     t: Array
@@ -59,7 +60,7 @@ class MotorWindows:
     spread: float
 
     def command(self, delay: float) -> Array:
-        """Return the windowed command (m,) with a delay of `delay` [s], in newtons."""
+        """Return the windowed command (m,) [N], if commands take effect after a delay [s]."""
         weights = np.diff(_cumulative((self.offsets + delay) / self.half_s))
         return np.asarray(self.commands @ weights)
 
@@ -68,10 +69,10 @@ class WindowWeights(NamedTuple):
     """Weights of the samples of a window, (n,) each.
 
     Attributes:
-        samples: places of the samples, from the centre.
-        mean: weights of a mean.
-        first: weights of the negative first derivative [1/s].
-        second: weights of the second derivative [1/s^2].
+        samples: positions of the samples relative to the centre.
+        mean: weights that give the mean of a signal.
+        first: weights that give the negative first derivative [1/s].
+        second: weights that give the second derivative [1/s^2].
     """
 
     samples: NDArray[np.intp]
@@ -81,7 +82,7 @@ class WindowWeights(NamedTuple):
 
     @staticmethod
     def of(period: float) -> "WindowWeights":
-        """Return the weights at a control period [s]."""
+        """Return the weights for a control period [s]."""
         half = max(MIN_HALF_SAMPLES, round(HALF_WINDOW_S / period))
         half_s = half * period
         samples = np.arange(-half, half + 1)
@@ -94,15 +95,15 @@ class WindowWeights(NamedTuple):
         )
 
     def rates(self, values: Array) -> tuple[Array, Array, Array]:
-        """Return mean, first and second derivative (...) of the samples of windows (..., n)."""
+        """Return mean, first and second derivative (...) of a signal, given its samples in windows (..., n)."""
         # Integration by parts moves the derivative to the window and changes its sign.
         return values @ self.mean, -values @ self.first, values @ self.second
 
 
 def motor_windows(data: TendonData, spool: float) -> MotorWindows:
-    """Return the windowed signals of a tendon.
+    """Return the windowed signals of a tendon and its motor.
 
-    Windows with too low a tendon speed or a missing sample are omitted.
+    Windows in which the tendon is too slow, changes its direction, or lacks a sample are left out.
     """
     period = data.period
     weights = WindowWeights.of(period)
@@ -115,7 +116,7 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     quick = quick_speed(data.travel, period)
     complete = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
     moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool
-    # All signs of a window are equal only if their sum is the number of samples.
+    # The signs in a window are equal if the absolute value of their sum is the number of samples.
     selected = complete & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(samples))
     taps = np.arange(-half - 2, half + 3)
     return MotorWindows(
@@ -132,34 +133,34 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
 
 
 def quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
-    """Return the speed from differences over a few periods [m/s], zero at the ends."""
+    """Return the speed of a travel, from differences over a few control periods [m/s], zero at the ends."""
     speed = np.full(len(travel), np.nan)
     speed[reach:-reach] = (travel[2 * reach :] - travel[: -2 * reach]) / (2 * reach * period)
     return np.asarray(np.nan_to_num(speed))
 
 
 def _window(s: Array) -> Array:
-    """Return the window cos^4 over [-1, 1], with area 1, and 0 outside."""
-    # Its first three derivatives vanish at the ends, so integration by parts leaves no boundary
-    # terms.
+    """Return the window function: cos^4 with area 1 over [-1, 1], and 0 outside."""
+    # The first three derivatives of the window are 0 at its ends. Therefore integration by parts
+    # leaves no boundary terms.
     return np.asarray(np.where(np.abs(s) < 1.0, 4.0 / 3.0 * np.cos(0.5 * np.pi * s) ** 4, 0.0))
 
 
 def _window_slope(s: Array) -> Array:
-    """Return the first derivative of the window."""
+    """Return the first derivative of the window function."""
     inside = -8.0 / 3.0 * np.pi * np.cos(0.5 * np.pi * s) ** 3 * np.sin(0.5 * np.pi * s)
     return np.asarray(np.where(np.abs(s) < 1.0, inside, 0.0))
 
 
 def _window_curvature(s: Array) -> Array:
-    """Return the second derivative of the window."""
+    """Return the second derivative of the window function."""
     c2 = np.cos(0.5 * np.pi * s) ** 2
     inside = 4.0 / 3.0 * np.pi**2 * c2 * (3.0 - 4.0 * c2)
     return np.asarray(np.where(np.abs(s) < 1.0, inside, 0.0))
 
 
 def _cumulative(s: Array) -> Array:
-    """Return the integral of the window from -1."""
+    """Return the integral of the window function from -1 to s."""
     c = np.clip(s, -1.0, 1.0)
     return np.asarray(
         0.5 + 0.5 * c + np.sin(np.pi * c) * 2.0 / (3.0 * np.pi) + np.sin(2.0 * np.pi * c) / (12.0 * np.pi)

@@ -1,17 +1,18 @@
-"""Fit of a spool pair without load cells, from motor torque, spool and joint encoders.
+"""Fit of a spool pair without load cells, from motor torque, spool angle and joint encoders.
 
     u(t - d) = J/r w' + b/r w + tau_c/r sgn w + F          motor, windowed as in `fit_motor`
     F = n(load; p, mu)                                     free motion
     g(F; k, p) = x - m s(q) - o                            on a stop, and in free motion
 
-F is the net tension at the spool. In free motion F balances n, which has inertia, weight and
-damping of the links and the friction of both tendons. The stretch of the pair is the difference
-between spool and joints. The stretch follows from F by the characteristic g: the stiffness is 2 k
-while both tendons are taut, and k beyond twice the pretension p.
+F is the net tension at the spool. In free motion, F balances n. This force is the sum of inertia,
+weight and damping of the links and friction of both tendons. The stretch of the pair is the
+difference between the positions of spool and joints. The characteristic g gives the stretch at a
+net tension F: the stiffness is 2 k while both tendons are taut, and k if F exceeds twice the
+pretension p.
 
-No sensor of a spool pair measures a force, so the torque of the drive is the unit of all forces. If
-a motor makes 10 % less torque than commanded, then its inertia, its friction and the stiffness of
-its tendons seem 10 % larger.
+No sensor of a spool pair measures a force. Therefore the torque of the drive is the unit of all
+forces. If a motor makes 10 % less torque than commanded, then its inertia, its friction and the
+stiffness of its tendons seem 10 % larger.
 """
 
 from collections.abc import Sequence
@@ -46,17 +47,17 @@ PAIR_PARAMETERS = (
     "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "tendon_stiffness", "capstan", "moment_arm",
     "joint_damping", "link_mass", "pretension", "stretch_offset",
 )  # fmt: skip
-"""Names of the parameters of this fit.
+"""Names of the parameters in the fit of a spool pair.
 
-Two more parameters follow: link inertia missing from the model, and the time difference of the
-encoders.
+In the vector of the fit, two parameters follow: the error of the model's link inertia, and the time
+difference of the encoders.
 """
 PAIR_PRIOR = {
     "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "tendon_stiffness": 1.0, "stretch_offset": 100.0,
 }  # fmt: skip
-"""Prior standard deviation of parameters, divided by the scale of the parameter.
+"""Prior standard deviation of parameters of a spool pair, divided by the scale of the parameter.
 
-The masses of the links were weighed, but in the units of this fit they are divided by the torque
+The links were weighed, but in the units of this fit their masses are divided by the unknown torque
 gain. The damping of a joint and the viscous friction of its motor have the same effect. Without a
 prior for the pretension, a pair with two taut tendons could not be distinguished from a pair of
 twice the stiffness with one slack tendon.
@@ -66,42 +67,44 @@ PAIR_MODEL_ERROR = {
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
 
-The data separate the friction of the motor poorly from the friction of the tendons. The values were
-chosen with five simulated hands.
+From the data, friction of the motor and friction of the tendons are hard to separate. The values
+were chosen in simulations of five hands.
 """
 LOAD_INERTIA_SIGMA = 0.05
-"""Standard deviation of the link inertia missing from the model, as a fraction of the rotor's inertia.
+"""Standard deviation of the error of the model's link inertia, as a fraction of the inertia of the rotor.
 
-Rotor and links accelerate together, so only the model of the links separates their inertias.
+Rotor and links accelerate together. Therefore only the model of the links can separate the two
+inertias.
 """
 FIRST_NOISE_N = 0.3
-"""Standard deviation of the motor equation in the first fit [N].
+"""Assumed standard deviation of the motor equation's residuals in the first fit [N].
 
-The second fit uses the standard deviation of the first fit's residuals.
+The second fit uses the standard deviation that the residuals of the first fit show.
 """
 MIN_NOISE_N = 0.02
-"""Smallest standard deviation of the motor equation [N]."""
+"""Smallest standard deviation that is used for the motor equation's residuals [N]."""
 START_FACTORS = (1.0, 1.5, 2.2)
-"""Factors on the pretension of the hand file from which the fit begins."""
+"""The fit starts several times, with the pretension of the hand file multiplied by each of these factors."""
 MIN_READINGS = 3
-"""Smallest number of joint readings in a window for its stretch to be used."""
+"""The stretch in a window is used only if the window contains at least this number of joint readings."""
 
 
 @dataclass(frozen=True, slots=True)
 class PairWindows:
-    """Windowed signals of a spool pair, (m,) each.
+    """Signals of a spool pair, averaged with a window, (m,) each.
 
     Attributes:
-        motor: windows of the motor equation. The tension of these windows is unknown.
-        free: True in free motion, False while the pair is stretched on a stop.
-        inertial: net tension at the joints for inertia and weight [N].
-        damping: net tension at the joints for joint damping [N].
+        motor: windows of the motor equation. Their tension is not known.
+        free: True if the digit moves freely, False if the pair is stretched while the digit is on a
+            stop.
+        inertial: net tension that the joints need for inertia and weight [N].
+        damping: net tension that the joints need for joint damping [N].
         angle: wrap angle of the pair [rad].
-        developed: fraction of the friction of the tendons that is developed, with its sign.
-        travel: mean travel at the times of the joint readings [m].
-        excursion: mean excursion at the joint readings by the hand file [m], NaN with too few
-            readings.
-        readings: number of joint readings.
+        developed: friction of the tendons divided by its full value at high speed, with its sign.
+        travel: mean travel of the spool at the times of the joint readings [m].
+        excursion: mean excursion at the joint readings, with the moment arms of the hand file [m].
+            It is NaN if there are too few readings.
+        readings: effective number of joint readings in the window.
     """
 
     motor: MotorWindows
@@ -116,10 +119,10 @@ class PairWindows:
 
     @staticmethod
     def of(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData], rest: Array) -> "PairWindows":
-        """Return the windows of a pair.
+        """Return the windowed signals of a spool pair.
 
         Args:
-            hand: description.
+            hand: description of the hand.
             digit: model of the digit.
             tendon: index of the pair in the digit.
             data: data of all pairs of the digit, in order.
@@ -169,10 +172,10 @@ def select_windows(windows: MotorWindows, selected: NDArray[np.bool_]) -> MotorW
 def _joint_motion(
     digit: DigitModel, means: Array, data: Sequence[TendonData], rest: Array
 ) -> tuple[Array, Array, Array]:
-    """Return angles, rates and accelerations (m, joints) of a digit from the travels of its pairs (n_t, 3, m).
+    """Return angles, rates and accelerations (m, joints) of a digit from the motion of its pairs (n_t, 3, m).
 
-    The stretch of the tendons is neglected. The mean difference from the joint readings is
-    subtracted.
+    The stretch of the tendons is neglected. The angles are shifted so that their mean equals that
+    of the joint readings.
     """
     travel, speed, acceleration = (means[:, i].T for i in range(3))
     back = digit.excursion_to_joints.T
@@ -182,7 +185,10 @@ def _joint_motion(
 
 
 def _torque_of_digit(tree: HandTree, digit: DigitModel, rest: Array, q: Array, dq: Array, ddq: Array) -> Array:
-    """Return the joint torques (joints,) of inertia and weight of all links that a digit carries [N m]."""
+    """Return the torques (joints,) that a digit needs against inertia and weight of its links [N m].
+
+    The links of digits that it carries are included.
+    """
     motion = np.zeros((3, len(rest)))
     motion[0] = rest
     motion[:, digit.joints] = q, dq, ddq
@@ -192,10 +198,12 @@ def _torque_of_digit(tree: HandTree, digit: DigitModel, rest: Array, q: Array, d
 def _stretch_readings(
     digit: DigitModel, tendon: int, data: TendonData, rows: NDArray[np.intp], weights: WindowWeights
 ) -> tuple[Array, Array, Array]:
-    """Return travel and excursion (m,) of windows at the times of the joint readings [m], and the number of readings.
+    """Return travel and excursion (m,) of windows at the times of the joint readings [m].
 
-    While a pair is stretched on a stop, its travel changes and its excursion does not. For such a
-    window the travel is averaged over all samples instead.
+    The third value is the effective number of readings in each window.
+
+    While a pair is stretched on a stop, its travel changes and its excursion does not. In such a
+    window, the travel is averaged over all samples, and not only at the readings.
     """
     read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
     excursion = np.where(read, excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
@@ -206,19 +214,20 @@ def _stretch_readings(
     stretched = data.stop[rows].all(axis=1)
     travel = np.where(stretched, data.travel[rows] @ weights.mean, travel)
     known = np.where(count >= MIN_READINGS, (excursion[rows] * weight).sum(axis=1) / total, np.nan)
-    # The last value is the effective number of readings with the weights of the window.
+    # The last value is the effective number of readings, because the window weighs them
+    # differently.
     return travel, known, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
 def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
-    """Return the net tension at the spool (m,) for a net tension at a joint [N].
+    """Return the net tension at the spool (m,) that makes a given net tension at a joint [N].
 
     Args:
-        net: net tension at the joint [N].
+        net: net tension at the joint (m,) [N].
         pretension: pretension of both tendons [N].
-        passed: fraction of the first tendon's tension behind the pulleys.
+        passed: tension of the first tendon behind the pulleys divided by its tension at the spool.
 
-    Source: `core.estimation.spool_pair`, for arrays.
+    The formula is that of `core.estimation.spool_pair`, for arrays.
     """
     both_taut = 2.0 * (net + pretension * (1.0 / passed - passed)) / (passed + 1.0 / passed)
     single = np.where(both_taut > 0.0, net / passed, net * passed)
@@ -226,7 +235,7 @@ def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
 
 
 def stretch_of_pair(net: Array, stiffness: float, pretension: float) -> Array:
-    """Return the length (m,) by which the spool of a pair with a net tension (m,) [N] is ahead of its joints [m]."""
+    """Return the length (m,) by which the spool of a pair is ahead of its joints at a net tension (m,) [N] [m]."""
     single = np.sign(net) * (np.abs(net) - pretension) / stiffness
     return np.where(np.abs(net) < 2.0 * pretension, 0.5 * net / stiffness, single)
 
@@ -236,12 +245,12 @@ class PairProblem:
     """Input of the fit of a spool pair.
 
     Attributes:
-        windows: windowed signals.
+        windows: windowed signals of the pair.
         spool: radius of the spool [m].
         nominal: (15,) scale of each parameter of `fit.PARAMETER_NAMES`.
-        motor_noise: standard deviation of the motor equation [N].
-        reading_noise: standard deviation of the excursion by one joint reading [m].
-        start: initial scaled parameters, taken from the hand file.
+        motor_noise: standard deviation of the residuals of the motor equation [N].
+        reading_noise: standard deviation of the excursion that follows from one joint reading [m].
+        start: scaled parameters at which the fit starts, taken from the hand file.
     """
 
     windows: PairWindows
@@ -252,11 +261,11 @@ class PairProblem:
     start: Array
 
     def value(self, z: Array, name: str) -> float:
-        """Return a parameter in SI units, or as a factor."""
+        """Return a parameter in SI units, or as a factor that multiplies a value of the hand file."""
         return float(z[PAIR_PARAMETERS.index(name)] * self.nominal[PARAMETER_NAMES.index(name)])
 
     def measured_tension(self, z: Array) -> Array:
-        """Return the net tension (m,) by the motor equation [N]."""
+        """Return the net tension (m,) that follows from the motor equation [N]."""
         m = self.windows.motor
         r = self.spool
         inertia = self.value(z, "motor_inertia") * m.acceleration
@@ -265,7 +274,7 @@ class PairProblem:
         return np.asarray(m.command(self.value(z, "delay")) - (inertia + viscous) / r**2 - coulomb / r)
 
     def free_tension(self, z: Array) -> Array:
-        """Return the net tension (m,) that the links and the friction of the tendons need in free motion [N]."""
+        """Return the net tension (m,) that links and tendon friction need in free motion [N]."""
         w = self.windows
         load = self.value(z, "link_mass") * w.inertial + self.value(z, "joint_damping") * w.damping
         rotor = self.nominal[PARAMETER_NAMES.index("motor_inertia")] / self.spool**2
@@ -274,13 +283,16 @@ class PairProblem:
         return tension_of_pair(load / self.value(z, "moment_arm"), self.value(z, "pretension"), passed)
 
     def stretch(self, z: Array) -> Array:
-        """Return the length (m,) by which the spool is ahead of the joints [m], NaN without joint readings."""
+        """Return the length (m,) by which the spool is ahead of the joints [m].
+
+        It is NaN in windows without enough joint readings.
+        """
         w = self.windows
         skew = np.where(w.free, z[-1] * SKEW_S * w.motor.speed, 0.0)
         return np.asarray(w.travel - self.value(z, "moment_arm") * w.excursion - self.value(z, "stretch_offset") - skew)
 
     def residuals(self, z: Array) -> Array:
-        """Return the residuals (rows,) in standard deviations: motor, stretch, priors."""
+        """Return the residuals (rows,) in standard deviations, in the order motor, stretch, priors."""
         w = self.windows
         stiffness = self.value(z, "tendon_stiffness")
         pretension = self.value(z, "pretension")
@@ -301,7 +313,10 @@ class PairProblem:
         return np.where(signed, -np.inf, MIN_SCALE), np.where(signed, np.inf, MAX_SCALE)
 
     def with_noise_of(self, z: Array) -> "PairProblem":
-        """Return the fit problem with a noise level estimated from the median of the residuals."""
+        """Return the input of the fit with a new noise of the motor equation.
+
+        The noise is estimated from the median of the absolute residuals.
+        """
         w = self.windows
         rest = (self.measured_tension(z) - self.free_tension(z))[w.free]
         size = 1.48 * float(np.median(np.abs(rest))) if len(rest) else self.motor_noise
@@ -309,7 +324,7 @@ class PairProblem:
 
 
 def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData]) -> Fit:
-    """Fit a spool pair.
+    """Fit the parameters of a spool pair.
 
     Args:
         hand: description of the hand.
@@ -339,7 +354,7 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
 
 
 def _start(windows: PairWindows) -> Array:
-    """Return the initial scaled parameters, taken from the hand file."""
+    """Return the scaled parameters at which the fit starts: those of the hand file and a first stretch offset."""
     first = np.ones(len(PAIR_PARAMETERS) + 2)
     known = np.isfinite(windows.excursion)
     offset = float(np.median(windows.travel[known] - windows.excursion[known])) if known.any() else 0.0
@@ -349,10 +364,11 @@ def _start(windows: PairWindows) -> Array:
 
 
 def _start_candidates(first: Array) -> list[Array]:
-    """Return initial parameters with several pretensions.
+    """Return several starts of the fit, which differ in their pretension.
 
-    If the initial pretension is too small, the solver may reach a pair with a slack tendon and
-    twice the stiffness. No small step leads from this solution to the right parameters.
+    If the pretension is too small at the start, the solver may end at a wrong solution: a pair with
+    one slack tendon and twice the stiffness. No small step leads from there to the right
+    parameters.
     """
     starts = []
     for factor in START_FACTORS:
@@ -363,12 +379,12 @@ def _start_candidates(first: Array) -> list[Array]:
 
 
 def _robust_cost(residual: Array) -> float:
-    """Return the soft L1 cost of residuals, in which outliers weigh little."""
+    """Return the soft L1 cost of residuals, in which outliers have little weight."""
     return float((np.sqrt(1.0 + (residual / OUTLIER_RESIDUAL) ** 2) - 1.0).sum())
 
 
 def _as_fit(hand: Hand, problem: PairProblem, solution: Solution) -> Fit:
-    """Return the fit of a pair in the form of a tendon's fit."""
+    """Return the result for a spool pair in the form of the fit of a single tendon."""
     windows = problem.windows
     count = len(PARAMETER_NAMES)
     target = [PARAMETER_NAMES.index(name) for name in PAIR_PARAMETERS]

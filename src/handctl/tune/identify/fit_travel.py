@@ -1,11 +1,11 @@
-"""Fit of a tendon's stiffness and moment arm, from its spool, its load cell and the joint encoders.
+"""Fit of a tendon's stiffness and moment arm, from the travel of its spool, its load cell and the joint encoders.
 
     x = m s(q) + f / k + o(t) + d x'
 
-The travel x of the spool is the sum of the joints' excursion s(q) and the tendon's stretch f / k. m
-scales the moment arms of the hand file. Joint encoders are read somewhat later or earlier than
-motor encoders, which adds d x' while the joints move. The offset o follows the drift of the load
-cell. The equation does not depend on stops or springs.
+The travel x of the spool is the sum of the excursion s(q) of the joints and the stretch f / k of
+the tendon. The factor m multiplies the moment arms of the hand file. Joint encoders are read
+somewhat later or earlier than motor encoders. This time difference adds d x' while the joints move.
+The offset o follows the drift of the load cell. Stops and springs have no part in this equation.
 """
 
 from dataclasses import replace
@@ -27,9 +27,9 @@ from handctl.tune.identify.fit import (
 from handctl.tune.identify.solve import solve_least_squares
 
 TRAVEL_PARAMETERS = ("tendon_stiffness", "moment_arm")
-"""Names of the parameters of this fit.
+"""Names of the parameters that this fit identifies.
 
-The time difference of the encoders and the offset follow.
+In the vector of the fit, the time difference of the encoders and the offset follow.
 """
 TRAVEL_MODEL_ERROR = {
     "tendon_stiffness": 0.012, "moment_arm": 0.0003, "torque_gain": 0.006, "motor_inertia": 0.008,
@@ -37,13 +37,13 @@ TRAVEL_MODEL_ERROR = {
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
 
-The intervals are computed from blocks of time, which are too short to show the slow drift of the
-load cell. The values were chosen with five simulated hands.
+The intervals are calculated from blocks of time that are too short to show the slow drift of the
+load cell. The values were chosen in simulations of five hands.
 """
 SKEW_S = 1e-3
-"""Scale and prior standard deviation of the time difference of the encoders [s]."""
+"""Scale of the time difference between the encoders, and its prior standard deviation [s]."""
 SAMPLES_EACH_SIDE = 1
-"""Samples before and after a joint reading over which tension is averaged."""
+"""Number of samples before and after a joint reading over which the tension is averaged."""
 MIN_ROWS = 50
 """Smallest number of joint readings for a fit."""
 
@@ -70,13 +70,15 @@ def with_arms(digit: DigitModel, factors: Array) -> DigitModel:
 
 
 def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: Fit, joint_noise: float) -> Fit:
-    """Return the fit of a tendon with stiffness and moment arm from its travel, unchanged without joint readings.
+    """Return the fit of a tendon, with stiffness and moment arm fitted to its travel.
+
+    If there are too few joint readings, the fit is returned without changes.
 
     Args:
         digit: model of the digit.
         tendon: index of the tendon in the digit.
         data: data of the tendon.
-        fit: fit of the motor equation.
+        fit: fit of the tendon, in which stiffness and moment arm are replaced.
         joint_noise: standard deviation of a joint reading [rad].
     """
     problem = fit.problem
@@ -100,7 +102,7 @@ def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: Fit, joint
         stretch = tension / (z[0] * nominal)
         moving = np.interp(t, knots, z[own:]) * SCALE_OFFSET_M
         expected = z[1] * excursion + stretch + offset + moving + z[2] * SKEW_S * speed
-        # The offset follows the drift of the load cell, a random walk.
+        # The offset follows the drift of the load cell, which is a random walk.
         steps = np.diff(z[own:]) * SCALE_OFFSET_M * nominal / problem.step
         prior = np.array(
             [(z[0] - 1.0) / DEFAULT_PRIOR_DEVIATION, (z[1] - 1.0) / DEFAULT_PRIOR_DEVIATION, z[2], z[own] / 10.0]

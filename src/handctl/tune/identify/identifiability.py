@@ -1,8 +1,8 @@
-"""Identifiability of parameters in a fit: parameters without information, and combinations that trade off.
+"""Identifiability of the parameters of a fit: which ones the data do not determine, and which trade off.
 
-The analysis uses only the Jacobian of the data, scaled by the values of the hand file and by the
-noise of the load cell. If a parameter, or a combination of parameters, has no effect on the
-residuals, then the data do not determine its value, even though the solver returns one.
+The analysis uses the Jacobian of the data, scaled by the values of the hand file and by the noise
+of the load cell. The solver returns a value for every parameter. But if a parameter, or a
+combination of parameters, has no effect on the residuals, the data do not determine its value.
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DELAY_S, Fit
 
 MAX_CORRELATION = 0.95
-"""Correlation above which two parameters are reported as trading off."""
+"""Absolute correlation of two estimated parameters above which they are reported as trading off."""
 COHERENCE_SEGMENTS = 6
-"""Number of parts of the excitation over which coherence is averaged.
+"""Number of parts into which the excitation is divided, to average the coherence.
 
-With a single part, coherence is always 1.
+With a single part, the coherence would always be 1.
 """
 
 
@@ -29,12 +29,12 @@ class Identifiability:
     """Identifiability of a tendon's parameters.
 
     Attributes:
-        names: identified parameters.
-        missing: parameters not identified, each with the reason.
-        rank: rank of the Jacobian of the data, drift excluded.
-        columns: number of columns of this Jacobian.
-        condition: ratio of the largest to the smallest singular value.
-        weakest: combination of parameters with the least information, as text.
+        names: names of the identified parameters.
+        missing: parameters that are not identified, each with the reason.
+        rank: number of combinations of parameters that the data determine.
+        columns: number of all combinations, which is the number of parameters.
+        condition: largest singular value of the Jacobian divided by the smallest.
+        weakest: combination of parameters that the data determine least, as text.
         correlated: pairs of identified parameters that trade off, with their correlation.
     """
 
@@ -48,7 +48,7 @@ class Identifiability:
 
 
 def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiability:
-    """Return the identifiability of the parameters in a fit.
+    """Return the identifiability of the parameters of a tendon, given their fit.
 
     Args:
         fit: fit of a tendon.
@@ -58,8 +58,8 @@ def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiab
     """
     unseen = unobservable_parameters(hand, digit, tendon)
     jacobian = fit.sensitivity
-    # The right singular vectors are combinations of parameters, the singular values their
-    # information.
+    # Each right singular vector is a combination of parameters. Its singular value is the
+    # information of the data about this combination.
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
     widths = fit.half_widths
     values = fit.values
@@ -83,7 +83,8 @@ def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiab
             *(f"{name}: {reason}" for name, reason in reasons.items() if reason),
             *_never_identifiable(fit, hand, tendon),
         ),
-        # A singular direction counts if its own 95 % interval would count as identified.
+        # A combination of parameters counts if its 95 % interval is as narrow as that of an
+        # identified parameter.
         rank=int((1.96 / np.maximum(sizes, 1e-12) < MAX_HALF_WIDTH).sum()),
         columns=len(PARAMETER_NAMES),
         condition=float(sizes[0] / max(sizes[-1], 1e-12)),
@@ -93,18 +94,21 @@ def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiab
 
 
 def _is_narrow(name: str, value: float, width: float) -> bool:
-    """Return True if an interval is narrow enough to be useful. The scale of a delay is a millisecond."""
+    """Return True if the interval of a parameter is narrow enough.
+
+    The width is compared with the value of the parameter, or with a millisecond for the delay.
+    """
     scale = SCALE_DELAY_S if name == "delay" else abs(value)
     return bool(width < MAX_HALF_WIDTH * scale)
 
 
 def _is_excited(jacobian: Array, name: str) -> bool:
-    """Return True if the parameter affects any data row."""
+    """Return True if a parameter affects at least one row of the data."""
     return bool(np.linalg.norm(jacobian[:, PARAMETER_NAMES.index(name)]) > 1e-6)
 
 
 def _reason_not_identified(jacobian: Array, name: str) -> str:
-    """Return the reason why a parameter is not identified."""
+    """Return the reason why a parameter is not identified, as text."""
     if not _is_excited(jacobian, name):
         return "no data depend on this parameter"
     if name == "delay":
@@ -113,9 +117,9 @@ def _reason_not_identified(jacobian: Array, name: str) -> str:
 
 
 def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, str]:
-    """Return the parameters that the sensors of a hand cannot show, each with the reason.
+    """Return the parameters that cannot be identified with the sensors of a hand, each with the reason.
 
-    The reason is empty for a parameter that the tendon does not have.
+    If a tendon does not have a parameter, the reason is an empty text.
 
     Args:
         hand: description of the hand.
@@ -138,7 +142,7 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
 
 
 def _never_identifiable(fit: Fit, hand: Hand, name: str) -> list[str]:
-    """Return the parameters that this kind of excitation never identifies, at any duration."""
+    """Return the parameters that no such excitation can identify, however long it lasts, each with the reason."""
     problem = fit.problem
     tendon = hand.tendon[hand.tendon_names.index(name)]
     if tendon.pretension_N is not None:
@@ -171,16 +175,16 @@ def _never_identifiable(fit: Fit, hand: Hand, name: str) -> list[str]:
 
 
 def _combination_text(direction: Array) -> str:
-    """Return the largest components of a direction as text."""
+    """Return the largest components of a combination of parameters as text."""
     order = np.argsort(-np.abs(direction))[:3]
     return ", ".join(f"{direction[i]:+.2f} {PARAMETER_NAMES[i]}" for i in order if abs(direction[i]) > 0.1)
 
 
 def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
-    """Return the coherence of motor force and tendon speed: frequencies [Hz], values from 0 to 1.
+    """Return frequencies [Hz] and the coherence of motor force and tendon speed at each, from 0 to 1.
 
-    At a coherence of 1, a linear system gives the speed from the force. Noise, friction, or other
-    causes of motion lower the coherence.
+    At a coherence of 1, the force determines the speed through a linear system. Noise, friction and
+    other causes of motion reduce the coherence.
     """
     use = data.acting & np.isfinite(data.travel)
     force = data.command[use]

@@ -1,4 +1,4 @@
-"""Identification of every tendon in a log: fit, check of identifiability, and entry for the calibration file."""
+"""Identification of all tendons in a log: fit, identifiability, search for contacts, entry for the calibration file."""
 
 import datetime
 from collections.abc import Callable
@@ -27,11 +27,15 @@ from handctl.tune.identify.identifiability import (
 )
 
 BAND_HZ = (0.7, 6.0)
-"""Frequency band for the mean coherence [Hz], equal to the band of the swing."""
-SWEEP_PARAMETERS = (*DIGIT_KEYS, "capstan")
-"""Parameters made invalid by a contact during the sweeps.
+"""Frequency band over which the coherence is averaged [Hz].
 
-Parameters of motor and tendon remain valid, because they do not depend on the balance of the digit.
+It is the band of the sinusoidal swing.
+"""
+SWEEP_PARAMETERS = (*DIGIT_KEYS, "capstan")
+"""Parameters that are invalid if the digit touched an obstacle during the sweeps.
+
+Parameters of motor and tendon stay valid, because they do not depend on the torque balance of the
+digit.
 """
 
 
@@ -40,16 +44,16 @@ class TendonResult:
     """Result of the identification of a tendon from a log.
 
     Attributes:
-        data: data from the log.
+        data: data of the tendon from the log.
         fit: fit of all parameters.
         identifiability: identifiability of the parameters.
-        coherence: mean coherence over the swing's band.
-        spectrum: frequencies [Hz] and coherence.
-        balance: balance of the digit if the digit has several tendons and joint encoders, else
-            None.
-        blocked: text of the controller's event about a blocked digit during the excitation, else
-            empty.
-        contact: evidence of a contact during the sweeps as text, else empty.
+        coherence: mean coherence over the frequency band of the swing.
+        spectrum: frequencies [Hz], and the coherence at each of them.
+        balance: data for the fit of the digit, if the digit has several tendons and joint encoders,
+            else None.
+        blocked: text of the event with which the controller reported the digit as blocked, empty
+            without such an event.
+        contact: text that describes a contact during the sweeps, empty without a contact.
     """
 
     data: TendonData
@@ -63,19 +67,19 @@ class TendonResult:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the identified parameters that are valid."""
+        """Return the names of the identified parameters that no contact made invalid."""
         if self.blocked:
             return ()
         return tuple(name for name in self.identifiability.names if not (self.contact and name in SWEEP_PARAMETERS))
 
     def identified(self, log: Path, made: str) -> Identified | None:
-        """Return the entry for the calibration file, or None without a valid identified parameter."""
+        """Return the tendon's entry for the calibration file, or None if no parameter is identified and valid."""
         names = self.names
         if not names:
             return None
         at = [PARAMETER_NAMES.index(name) for name in names]
         scale = self.fit.problem.nominal[at]
-        # The fit has scaled parameters, and the file has parameters in SI units.
+        # The fit scales the parameters, but the file has them in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
         values = self.fit.values
         widths = self.fit.half_widths
@@ -127,14 +131,14 @@ class TendonResult:
 def identify_tendons(
     log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda text: None
 ) -> dict[str, TendonResult]:
-    """Fit every tendon of a log, and return the results by tendon.
+    """Identify every tendon of a log, and return the results by tendon.
 
-    Tendons that hardly move are omitted.
+    Tendons that hardly move are left out.
 
     Args:
         log: log of any run.
-        hand: hand of the run, as in its file.
-        progress: function called with a description of each step.
+        hand: hand of the run, as described by its file.
+        progress: function that is called with a description of each step.
 
     Raises:
         LogError: No tendon in the log moves.
@@ -163,7 +167,9 @@ def identify_tendons(
 
 
 def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Fit:
-    """Return the fit of one tendon, or of a spool pair with the motion of its digit.
+    """Return the fit of a single tendon or spool pair.
+
+    The fit of a spool pair needs the data of all pairs of its digit.
 
     Raises:
         LogError: The tendon hardly moves.
@@ -179,11 +185,11 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Fi
 
 
 def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
-    """Return a result with information about contacts that make parameters invalid.
+    """Return the result of a tendon with information about contacts that make parameters invalid.
 
     The controller uses the springs of the hand file. If the real springs are a third stiffer, the
-    controller reports an obstacle. Therefore its event is ignored if the fit explains the whole
-    sweep.
+    controller reports an obstacle that does not exist. Therefore its event is ignored if the fit
+    explains the whole sweep.
     """
     contact = contact_text(hand, result)
     ramp = result.fit.ramp
@@ -192,7 +198,7 @@ def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult
 
 
 def contact_text(hand: Hand, result: TendonResult) -> str:
-    """Return the evidence of a contact during the sweeps as text, else empty."""
+    """Return a text that describes a contact during the sweeps, empty without a contact."""
     ramp = result.fit.ramp
     if ramp is not None and ramp.is_contact:
         several = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
@@ -207,7 +213,7 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
 
 
 def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
-    """Return the evidence of an immobile joint in a digit with one tendon, empty if all joints move."""
+    """Return a text that describes a blocked joint in a digit with one tendon, empty if all joints move."""
     load = result.fit.problem.load
     data = result.data
     values = result.fit.values
@@ -230,12 +236,12 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
 
 
 def blocked_digits(log: RunLog) -> dict[str, str]:
-    """Return the first event that reports a block, for each blocked excited digit.
+    """Return the first event that reports a blocked digit, for each digit during whose excitation this happened.
 
-    The result has digit names as keys.
+    The keys of the result are the names of the excited digits.
 
-    If two digits touch each other, the event is assigned to the excited digit, even if the
-    controller reports the other digit as blocked.
+    If two digits touch each other, the controller may report the other digit as blocked. The event
+    is assigned to the excited digit all the same.
     """
     events = [
         event_entry
@@ -256,7 +262,8 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
 def _of_digit(hand: Hand, name: str, fitted: list[tuple[TendonData, Fit]]) -> tuple[Balance | None, list[Fit]]:
     """Return the fits of a digit's tendons.
 
-    With several tendons, the fit of the digit is included.
+    If the digit has several tendons, springs and friction are taken from the fit of the whole
+    digit. The first value is the data of this fit, or None.
     """
     fits = [fit for _, fit in fitted]
     digit = DigitModel.of(hand, name)
@@ -269,7 +276,7 @@ def _of_digit(hand: Hand, name: str, fitted: list[tuple[TendonData, Fit]]) -> tu
 
 
 def _tendon_result(hand: Hand, data: TendonData, fit: Fit, balance: Balance | None) -> TendonResult:
-    """Return the result for a tendon, before contacts are considered."""
+    """Return the result for a tendon, without information about contacts."""
     spectrum = excitation_coherence(data)
     inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
     mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")

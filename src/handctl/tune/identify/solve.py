@@ -1,7 +1,7 @@
-"""Solution of a least-squares fit, with its uncertainty.
+"""Solution of a least-squares fit, with the uncertainty of the parameters.
 
-Intervals are computed from the variation of the residuals between blocks of time, so model errors
-widen the intervals. Rows need not be independent measurements.
+The confidence intervals follow from the variation of the residuals between blocks of time. Thus
+errors of the model widen the intervals, and the rows need not be independent measurements.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,39 +15,39 @@ from scipy.optimize import least_squares
 Array = NDArray[np.float64]
 
 MIN_FREEDOM = 3.0
-"""Smallest degrees of freedom of an interval."""
+"""Smallest number of degrees of freedom of a confidence interval."""
 MIN_VARIANCE_FRACTION = 1e-9
-"""Smallest squared contribution of the data to a parameter.
+"""Lower bound of the squared contribution of the data to the variance of a parameter.
 
 Below this value only the prior determines the parameter.
 """
 MAX_SOLVER_STEPS = 40
-"""Largest number of steps of the solver.
+"""Largest number of evaluations by the solver.
 
-If the solver needs more steps, the data do not determine the parameters.
+If the solver needs more, the data do not determine the parameters.
 """
 OUTLIER_RESIDUAL = 2.5
-"""Residual above which a row gets less weight [standard deviations], for example in an unexpected contact."""
+"""Residual above which a row gets less weight, for example during an unexpected contact [standard deviations]."""
 BLOCK_S = 0.25
-"""Length of the blocks of time [s]. Residuals of different blocks count as independent."""
+"""Duration of the blocks of time [s]. Residuals of different blocks count as independent."""
 MAX_BLOCK_ROWS = 500
-"""Largest number of rows in a block. The computing time grows with the third power of this number.
+"""Largest number of rows in a block. The computing time increases with the third power of this number.
 
-A block of a run at 500 Hz has up to 375 rows. In a damaged log with constant time, all rows would
-be in one block.
+A block of a run at 500 Hz has up to 375 rows. In a damaged log in which all times are equal, one
+block would contain all rows.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Scaled parameters with their uncertainty.
+    """Solution of a fit: scaled parameters with their uncertainty.
 
     Attributes:
         z: (n,) parameters.
-        covariance: (n, n) covariance.
-        jacobian: (rows, n) weighted Jacobian.
-        residual: (rows,) residuals.
-        freedom: (n,) degrees of freedom of each variance.
+        covariance: (n, n) covariance of the parameters.
+        jacobian: (rows, n) Jacobian of the residuals, in which the rows of outliers are zero.
+        residual: (rows,) residuals, in which those of outliers are zero.
+        freedom: (n,) degrees of freedom of the variance of each parameter.
     """
 
     z: Array
@@ -60,17 +60,17 @@ class Solution:
 def solve_least_squares(
     residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array], times: Array
 ) -> Solution:
-    """Solve least squares in two rounds: a robust round to find outliers, then a round without the outliers.
+    """Solve a least-squares problem in two rounds: a robust round finds outliers, and the second round leaves them out.
 
     Args:
         residuals: function from parameters (n,) to residuals in standard deviations, rows of
             data first, then priors.
-        start: (n,) initial parameters.
+        start: (n,) parameters at which the solver starts.
         bounds: lower and upper bounds of the parameters.
-        times: time of every data row [s].
+        times: time of every row of data [s].
     """
     run = partial(least_squares, x_scale="jac", bounds=bounds, max_nfev=MAX_SOLVER_STEPS)
-    # A soft L1 loss limits the effect of outliers in the first round.
+    # In the first round, a soft L1 loss limits the effect of outliers.
     first = run(residuals, start, loss="soft_l1", f_scale=OUTLIER_RESIDUAL)
     weight = np.ones_like(first.fun)
     weight[: len(times)] = np.abs(first.fun[: len(times)]) < 2.0 * OUTLIER_RESIDUAL
@@ -85,7 +85,10 @@ def solve_least_squares(
 
 
 def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
-    """Yield the row indices of each block of time, in parts of at most `MAX_BLOCK_ROWS`."""
+    """Yield the indices of the rows in each block of time.
+
+    Long blocks are divided into parts of `MAX_BLOCK_ROWS`.
+    """
     order = np.floor((times - times.min()) / BLOCK_S).astype(int)
     for block in np.unique(order):
         rows = np.flatnonzero(order == block)
@@ -93,32 +96,35 @@ def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
 
 
 def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, Array]:
-    """Return the covariance of the parameters and its degrees of freedom, from blocks of time and priors.
+    """Return the covariance of the parameters, and the degrees of freedom of each variance.
 
-    The residuals of each block are corrected as if the fit had excluded the block. The covariance
-    is never smaller than with independent noise.
+    Both follow from the variation between blocks of time, and from the priors.
 
-    The degrees of freedom are computed for independent noise with a standard deviation of 1, not
-    from the residuals. With the residuals, a single block with large residuals could reduce the
-    degrees of freedom of the friction to less than three.
+    The residuals of each block are corrected to those of a fit without this block. The covariance
+    is never smaller than that of independent noise.
+
+    The degrees of freedom are calculated for independent noise with a standard deviation of 1, and
+    not from the residuals. Otherwise, a single block with large residuals could reduce the degrees
+    of freedom of the friction to less than three.
     Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3),
     Satterthwaite's degrees of freedom with their working model.
     """
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    # The priors are exact by definition, so their rows enter the middle of the sandwich without
-    # correction.
+    # The priors are exact by definition. Therefore their rows enter the middle factor of the
+    # sandwich estimator without correction.
     middle = jacobian[len(times) :].T @ jacobian[len(times) :]
     expected = [np.diag(plain @ middle @ plain)]
     for rows in _block_rows(times):
         part = jacobian[rows]
         left = np.eye(len(rows)) - part @ plain @ part.T
-        # (I - H) is singular if a block alone determines a parameter, hence the pseudo-inverse.
+        # If a block alone determines a parameter, (I - H) is singular. Least squares take the place
+        # of its inverse.
         alone = np.linalg.lstsq(left, np.column_stack([residual[rows], part]), rcond=1e-9)[0]
         score = part.T @ alone[:, 0]
         middle += np.outer(score, score)
         expected.append(np.maximum(np.diag(plain @ part.T @ alone[:, 1:] @ plain), 0.0))
     robust = plain @ middle @ plain
-    # The robust covariance may widen the plain covariance, but never narrows it.
+    # The robust covariance may increase the plain covariance, but never reduces it.
     wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
     shares = np.array(expected) / np.sum(expected, axis=0)
     freedom = 1.0 / np.maximum((shares[1:] ** 2).sum(axis=0), MIN_VARIANCE_FRACTION)

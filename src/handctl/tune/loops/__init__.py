@@ -1,1 +1,1 @@
-"""Control loops as linear systems: design and margins."""
+"""Control loops as linear systems: design of their gains, and margins."""

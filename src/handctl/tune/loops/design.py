@@ -1,17 +1,20 @@
-"""Design of gains: largest authority that keeps the margins on every plant, or poles at given frequencies.
+"""Design of gains, with the largest authority that keeps the margins on all plants, or with poles at given frequencies.
 
-Authority is the parameter of LQR that this design varies: the force that has the same weight as the
-errors of Bryson's rule. More authority makes a loop faster and its margins smaller. Therefore
-authority is increased until a margin would become too small, for each tendon alone. The smallest
-authority of all tendons becomes ``force_N``. A tendon that permits more than twice this authority
-gets a separate force, so that a heavy digit, such as a wrist, does not make light digits slow.
-Reported margins are confirmed by the closed loop's eigenvalues. Designed gains are confirmed by a
-function of the caller, such as a simulation.
+Authority is the parameter of LQR that this design varies: the force to which Bryson's rule gives
+the same cost as to the errors. More authority makes a loop faster and its margins smaller.
+Therefore the authority of each tendon is increased alone, until a margin would become too small.
+The smallest authority of all tendons becomes ``force_N``. A tendon that permits more than twice
+this authority gets a separate force. Thus a digit with little authority, such as a heavy wrist,
+does not make other digits slow. The eigenvalues of the closed loop confirm the reported margins. A
+function of the caller, such as a simulation, confirms the designed gains.
 
-Poles: for a plant with one input and weights on position and speed, the closed loop's
-characteristic polynomial d satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
-There are two poles and two ratios of weights. Therefore the weights for each pole pair with a
-damping above 1/sqrt(2) can be computed in closed form.
+To place poles: for a plant with one input and weights on position and speed, the characteristic
+polynomial d of the closed loop satisfies
+
+    d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
+
+Two ratios of weights determine two poles. Therefore the weights have a closed form for each pair
+of poles with a damping ratio above 1/sqrt(2).
 Source: Kalman's symmetric root locus.
 """
 
@@ -49,39 +52,44 @@ MIN_FORCE_N = 0.2
 MAX_FORCE_N = 400.0
 """Largest authority of the search [N]."""
 LOG_FORCE_STEP = math.log(1.7)
-"""Step of the search, in the natural logarithm of the force."""
+"""Step of the search for the largest authority, in the natural logarithm of the force."""
 BISECTIONS = 5
-"""Number of bisections of the last step, for an accuracy of two per cent."""
+"""Number of bisections of the last step of the search, for an accuracy of two per cent."""
 LOG_REDUCTION_STEP = math.log(1.03)
-"""Step of the reduction after the search, in the natural logarithm of the force.
+"""Step by which a force is reduced after the search, in the natural logarithm of the force.
 
-The force is reduced until the confirmed margins are kept.
+The force is reduced until the margins that eigenvalues confirm are large enough.
 """
 MAX_REDUCTIONS = 6
-"""Largest number of reductions after the search."""
+"""Largest number of reductions of a force after the search."""
 MAX_COMMON_REDUCTIONS = 3
-"""Largest number of steps by which all forces are reduced if the margins are kept but the test in simulation fails."""
-FORCE_RATIO = 2.0
-"""Ratio of a tendon's authority to the common authority above which the tendon gets a separate force."""
-FORCE_DIGITS = 3
-"""Significant digits of a designed force, rounded down."""
-REJECTION_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
-"""Fractions of disturbance rejection to try, largest first.
+"""Largest number of steps by which all forces are reduced together.
 
-With the filter of some hands, large fractions leave no margin.
+They are reduced if the margins are kept but the hand does not come to rest in simulation.
+"""
+FORCE_RATIO = 2.0
+"""Ratio of a tendon's authority to the common authority, above which the tendon gets a separate force."""
+FORCE_DIGITS = 3
+"""Number of significant digits of a designed force. Further digits are cut off."""
+REJECTION_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
+"""Fractions of disturbance rejection that the design tries, largest first.
+
+With the filters of some hands, loops with a large fraction have no margin.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """Result of a design.
+    """Result of the design of gains.
 
     Attributes:
         gains: designed gains.
         before: margins of the old gains by tendon and loop, on the nominal plant.
         after: margins of the designed gains by tendon and loop, on the nominal plant.
-        worst_before: smallest value of each margin over the ensemble, with the old gains.
-        worst_after: smallest value of each margin over the ensemble, with the designed gains.
+        worst_before: smallest value of each margin on all plants of the ensemble, with the old
+            gains.
+        worst_after: smallest value of each margin on all plants of the ensemble, with the designed
+            gains.
     """
 
     gains: Gains
@@ -91,14 +99,17 @@ class Design:
     worst_after: Margins
 
     def with_unproven_before(self) -> "Design":
-        """Return the design with zero margins for the old gains, which did not come to rest in simulation."""
+        """Return the design with zero margins for the old gains.
+
+        This is for old gains with which the hand did not come to rest in simulation.
+        """
         before = {loop: unproven_margins(margin) for loop, margin in self.before.items()}
         return replace(self, before=before, worst_before=unproven_margins(self.worst_before))
 
     def as_weights(self) -> Gains:
-        """Return the gains with the authority of each loop converted into its weights.
+        """Return the designed gains with the default authority, and errors that are scaled instead.
 
-        The controller stays the same, because LQR depends only on ratios of weights.
+        The controller stays the same, because LQR only depends on ratios of weights.
         """
         defaults = Gains()
         gains = self.gains
@@ -131,22 +142,22 @@ class Design:
 
 
 def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
-    """Return the factors of an ensemble that act on linear parameters. Friction is not linear."""
+    """Return those factors of a plant that scale linear parameters. Friction is not linear."""
     names = PlantFactors.__dataclass_fields__
     return PlantFactors(**{key: value for key, value in factors.items() if key in names})
 
 
 def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> Gains:
-    """Return gains whose weights place the poles of a loop at a natural frequency.
+    """Return gains whose weights give the poles of a loop a natural frequency and damping.
 
     Args:
-        model: model of the hand with the initial gains.
+        model: model of the hand with its present gains.
         kind: kind of the loop.
         hz: natural frequency of the pole pair [Hz].
         damping: damping ratio, at least 1/sqrt(2). No weights exist for smaller values.
 
     Raises:
-        ValueError: No weights have these poles.
+        ValueError: No weights lead to these poles.
     """
     w = 2.0 * math.pi * hz
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(model, w, damping)
@@ -163,7 +174,7 @@ def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float
 
 
 def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[dict[str, Any]]:
-    """Return the entries for the forces of single tendons, multiplied by a factor for each loop."""
+    """Return the entries of single tendons with their forces multiplied by a factor for each loop."""
     return [
         {
             "name": one.name,
@@ -175,7 +186,7 @@ def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[d
 
 
 def _checked_gains(gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]) -> Gains:
-    """Return gains with some sections replaced, after a check of their bounds.
+    """Return gains in which some sections are replaced, after a check of the bounds.
 
     Raises:
         ValueError: A value is out of its bounds.
@@ -187,16 +198,20 @@ def _checked_gains(gains: Gains, **sections: dict[str, float] | list[dict[str, A
 
 
 def _motion_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
-    """Return force / error and force / speed error for a single mass: d(s) = s^2 + 2 z w s + w^2."""
-    # A free digit moves with its rotor as one mass at low frequency.
+    """Return the ratios force / error and force / speed error of the motion loop.
+
+    The plant is a single mass, and d(s) = s^2 + 2 z w s + w^2.
+    """
+    # At low frequency, a free digit and its rotor move as one mass.
     mass = float((model.space.motor_mass + model.space.load_mass).mean())
     return mass * w**2, mass * w * _positive_root(4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT)
 
 
 def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
-    """Return the weights for a rotor on its tendon.
+    """Return the ratios force / error and force / speed error of the tension loop.
 
-    Poles below the natural frequency of the free rotor on the tendon are impossible.
+    The plant is a rotor on its tendon. No weights give poles below the natural frequency of the
+    rotor without control.
     """
     space = model.space
     m = float(space.motor_mass.mean())
@@ -211,14 +226,14 @@ def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float,
 
 
 MIN_DAMPING_TEXT = "a damping of more than 0.71"
-"""Text for error messages: allowed damping."""
+"""Text for error messages about the allowed damping."""
 
 
 def _positive_root(square: float, expected: str) -> float:
-    """Return a square root.
+    """Return the square root of a positive number.
 
     Raises:
-        ValueError: The square is not positive, so no weights have the poles.
+        ValueError: The number is not positive. Then no weights lead to the requested poles.
     """
     if square <= 0.0:
         raise ValueError(f"no weights have these poles; expected {expected}")
@@ -226,20 +241,20 @@ def _positive_root(square: float, expected: str) -> float:
 
 
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
-    """Return the model with other gains for motion and tension, and the same filter."""
+    """Return the model with other gains of the motion and tension loops, and the same filter."""
     return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
 
 
 def worst_margins(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> Margins:
-    """Return the smallest value of each margin over plants, loops, and different tendons.
+    """Return the smallest value of each margin over all plants, loops, and tendons that differ.
 
-    The margins are confirmed by eigenvalues.
+    Eigenvalues of the closed loops confirm the margins.
     """
     return reduce(smaller_margins, _each_margin(model, plants, kinds, confirmed_margins))
 
 
 def weakest_plant(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
-    """Return the index of the plant with the smallest disk margin in any loop."""
+    """Return the index of the plant that has the loop with the smallest disk margin."""
     disks = [min(margin.disk for margin in _each_margin(model, (factors,), LoopKind)) for factors in plants]
     return disks.index(min(disks))
 
@@ -250,9 +265,10 @@ def keeps_required_margins(
     kinds: Iterable[LoopKind] = LoopKind,
     tendons: Iterable[int] | None = None,
 ) -> bool:
-    """Return True if the loops of some or all tendons keep their margins on every plant.
+    """Return True if the loops of the given tendons have the required margins on every plant.
 
-    The check ends at the first failure.
+    Without `tendons`, all tendons are checked. The check ends at the first loop with too small a
+    margin.
     """
     return all(margin.are_sufficient for margin in _each_margin(model, plants, kinds, tendons=tendons))
 
@@ -266,7 +282,7 @@ def _each_margin(
 ) -> Iterator[Margins]:
     """Yield the margins of each loop, tendon, and plant.
 
-    Without `tendons`, one tendon of each kind is used.
+    Without `tendons`, one of each group of equal tendons is used.
     """
     for kind in kinds:
         for i in distinct_tendons(model) if tendons is None else tendons:
@@ -277,12 +293,12 @@ def _each_margin(
 
 
 def distinct_tendons(model: HandModel) -> tuple[int, ...]:
-    """Return the index of one tendon of each kind, so that equal tendons are checked only once."""
+    """Return the index of one tendon in each group of equal tendons."""
     return tuple(group[0] for group in _equal_tendons(model))
 
 
 def _equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
-    """Return groups of tendons with equal constants and equal forces, up to rounding."""
+    """Return groups of tendons with equal constants and equal forces, except for rounding errors."""
     space = model.space
     groups: dict[tuple[str, ...], tuple[int, ...]] = {}
     for i, name in enumerate(space.names):
@@ -297,7 +313,7 @@ def design_gains(
     plants: tuple[PlantFactors, ...],
     passes_test: Callable[[HandModel], bool] = lambda _: True,
 ) -> Design:
-    """Design the largest authority of each loop, and the largest disturbance rejection, within the margins.
+    """Design gains with the largest disturbance rejection and the largest authority that keep the margins.
 
     Args:
         model: model of the hand with its present gains. The design keeps the filter of this model.
@@ -306,8 +322,7 @@ def design_gains(
             simulation.
 
     Raises:
-        ValueError: The margins are not kept even with the smallest authority, or no gains pass the
-            test.
+        ValueError: Even the smallest authority violates a margin, or no gains pass the test.
     """
     unproven = False
     for rejection in REJECTION_FRACTIONS:
@@ -330,8 +345,8 @@ def design_gains(
                     after,
                 )
             unproven = unproven or after.are_sufficient
-        # Less disturbance rejection changes a single term. If gains do not come to rest, another
-        # term is the cause.
+        # Less disturbance rejection changes only one term of the control law. If the hand does not
+        # come to rest, another term is the cause.
         if unproven:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
@@ -340,7 +355,7 @@ def design_gains(
 
 
 def _with_decreasing_authority(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[HandModel]:
-    """Yield the gains, then gains with decreasing authority that keep the margins."""
+    """Yield the model, then models with less and less authority, as far as they keep the margins."""
     yield model
     for step in range(1, MAX_COMMON_REDUCTIONS + 1):
         less = _with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
@@ -360,13 +375,16 @@ def _with_scaled_forces(model: HandModel, factor: float) -> HandModel:
 
 
 def _with_motion(model: HandModel, **values: float) -> HandModel:
-    """Return the model with some motion gains replaced."""
+    """Return the model with some gains of the motion loop replaced."""
     gains = _checked_gains(model.gains, motion={**model.gains.motion.model_dump(), **values})
     return model_with_gains(model, gains)
 
 
 def _with_largest_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
-    """Return the model with the largest authority of each loop that keeps the margins, else None."""
+    """Return the model with the largest authority of each tendon's loop that keeps the margins.
+
+    If no authority keeps the margins, return None.
+    """
     model = model_with_gains(model, _without_tendon_forces(model.gains, kind))
     forces: dict[int, float] = {}
     for group in _equal_tendons(model):
@@ -381,12 +399,12 @@ def _with_largest_authority(model: HandModel, kind: LoopKind, plants: tuple[Plan
 
 
 def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]) -> float | None:
-    """Return the largest authority of a tendon's loop that keeps the margins [N], else None.
+    """Return the largest authority of a tendon's loop that keeps the margins [N], or None if none does.
 
-    The search starts at the smallest force. This force may violate the margins, because an
-    integrator alone makes a tendon oscillate. From the first force that keeps the margins, the
-    force is increased until a margin is violated, and the last step is bisected. Larger forces are
-    not tried.
+    The search starts at the smallest force. This force may violate the margins, because the
+    integrator with little other feedback makes a tendon oscillate. After the first force that keeps
+    the margins, the force is increased until a margin is violated. The last step is bisected, and
+    larger forces are not tried.
     """
 
     def keeps(log_force: float) -> bool:
@@ -409,8 +427,8 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
             best = middle
         else:
             high = middle
-    # Eigenvalues and a fine response may give smaller margins than the coarse response of the
-    # search.
+    # Eigenvalues and a response at many frequencies may show smaller margins than the coarse
+    # response of the search.
     for _ in range(MAX_REDUCTIONS):
         tried = _with_force(model, kind, _rounded_force(best))
         if all(margin.are_sufficient for margin in _each_margin(tried, plants, (kind,), confirmed_margins, (tendon,))):
@@ -420,15 +438,15 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
 
 
 def _rounded_force(log_force: float) -> float:
-    """Return a force of the search [N] from its natural logarithm, rounded down to a few digits."""
+    """Return the force [N] of a natural logarithm, rounded down to a few digits."""
     force = math.exp(log_force)
     unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_DIGITS + 1)
-    # The small term compensates the rounding error of the quotient.
+    # Adding 1e-9 compensates the rounding error of the quotient.
     return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_DIGITS}g}")
 
 
 def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
-    """Return gains without the forces of single tendons in a loop."""
+    """Return gains in which no single tendon has a separate force in a loop."""
     removed = f"{kind}_force_N"
     entries = [one.model_copy(update={removed: None}) for one in gains.tendon]
     kept = [one.model_dump() for one in entries if one.motion_force_N or one.tension_force_N]
@@ -436,13 +454,13 @@ def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
 
 
 def _with_tendon_forces(model: HandModel, kind: LoopKind, forces: Mapping[str, float]) -> HandModel:
-    """Return the model with the forces of some tendons in a loop [N], by name."""
+    """Return the model in which some tendons, given by name, have separate forces [N] in a loop."""
     values = {f"{TENDON_SECTION}.{name}.{kind}_force_N": force for name, force in forces.items()}
     return model_with_gains(model, with_values(model.gains, values, "design"))
 
 
 def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
-    """Return the model with another authority for a loop of all tendons."""
+    """Return the model with another common authority [N] in a loop of all tendons."""
     if kind == LoopKind.MOTION:
         return _with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
@@ -456,10 +474,10 @@ def design_with_poles(
     tension_hz: float,
     damping: float,
 ) -> Design:
-    """Return the design with the poles of both loops at given frequencies, including its margins.
+    """Return the design whose loops have their poles at given frequencies, and its margins.
 
     Raises:
-        ValueError: No weights have these poles.
+        ValueError: No weights lead to these poles.
     """
     moved = model_with_gains(model, gains_with_poles(model, LoopKind.MOTION, motion_hz, damping))
     moved = model_with_gains(moved, gains_with_poles(moved, LoopKind.TENSION, tension_hz, damping))

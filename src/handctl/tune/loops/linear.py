@@ -1,16 +1,16 @@
-"""Linear models of both loops.
+"""Linear models of the motion loop and the tension loop of a tendon.
 
-The controller is linearised by finite differences of its own code. The plant is computed from the
-hand file.
+The controller is linearised by finite differences of its own code. The model of the plant is
+calculated from the hand file.
 
-The finite differences call the same stages as a tick, so the matrices follow every change of filter
-or control law. Each tendon is treated alone, as in the design of the gains. Friction is neglected,
-because during motion it is constant. A tick acts on samples of the previous tick, which gives the
-delay of the bus.
+The finite differences call the same code as a tick of the controller. Thus the matrices follow
+every change of filter or control law. Each tendon is treated alone, as in the design of the gains.
+Friction is neglected, because during motion it is constant. In each tick, the controller acts on
+the samples of the previous tick. This is the delay of the bus.
 
-The control law is linearised without its limits, because a saturated loop would seem to have zero
-gain and unlimited margins. The goals equal the estimate at the operating point, so every feedback
-error is zero.
+The control law is linearised without its limits, because a saturated loop would seem to have no
+gain and unlimited margins. At the operating point the goals equal the estimates, and all errors are
+zero.
 """
 
 import enum
@@ -42,38 +42,41 @@ from handctl.hand.digit import DigitModel
 Matrix = NDArray[np.float64]
 
 CURRENT_LAG_S = 0.3e-3
-"""Time constant of the first-order lag of a drive's torque [s].
+"""Time constant of the first-order lag between commanded and actual torque of a drive [s].
 
-Source: current loops of some 500 Hz in all three protocols' drives.
+Source: the current loops of drives have a bandwidth of some 500 Hz.
 """
 OPERATING_TENSION_N = 20.0
 """Tension of the operating point, far from slack and from the limits [N]."""
 OPERATING_SPEED_M_S = 0.015
-"""Tendon speed of the operating point, at which friction is saturated [m/s]."""
+"""Tendon speed of the operating point [m/s].
+
+At this speed, friction does not depend on the speed.
+"""
 OPERATING_ANGLE_RAD = 0.6
 """Joint angle of the operating point, between the stops [rad]."""
 DIFFERENCE_STEPS = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
-"""Steps of the finite differences: travel [m], tension [N], and states as a fraction of their size."""
+"""Steps of the finite differences: travel [m], tension [N], and states as a fraction of their typical size."""
 UNLIMITED = 1e12
-"""Motor torque limit [N m] and force limit [N] so large that no gain reaches these limits."""
+"""Limit of motor torque [N m] and force [N] that is too large to be reached with any gains."""
 MOVING_TENSION_N = 1e4
-"""Expected tension of a moving digit, chosen far beyond its friction band [N].
+"""Expected tension of a moving digit, chosen far outside of its friction band [N].
 
-The prediction in the control law limits this tension to the edge of the band.
+The control law then predicts the tension at the edge of this band.
 """
 MIN_LIMIT_DISTANCE = 0.1
-"""Smallest distance of the operating point from the limits of a joint, as a fraction of the range."""
+"""Smallest distance of the operating point from the limits of a joint, as a fraction of the joint's range."""
 CONSTANT_TOLERANCE = 1e-9
-"""Largest coefficient of another state or an input in the equation of a state that counts as constant."""
+"""A state counts as constant if no coefficient of another state or an input in its equation exceeds this value."""
 
 
 class LoopKind(enum.StrEnum):
-    """Feedback loop of a tendon."""
+    """Kind of feedback loop of a tendon."""
 
     MOTION = "motion"
     """Motion loop: the digit moves freely along a trajectory."""
     TENSION = "tension"
-    """Tension loop: the digit is blocked and the tendon holds a tension."""
+    """Tension loop: the digit is blocked, and the tendon holds a tension."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +99,7 @@ class System:
 
     def response(self, omega: Matrix) -> NDArray[np.complex128]:
         """Return the frequency response (len(omega), p, m) at angular frequencies [rad/s]."""
-        # The unit circle of the z-plane is the frequency axis.
+        # The frequencies lie on the unit circle of the z-plane.
         z = np.exp(1j * omega * self.period)
         inverse = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
         return np.asarray(self.C @ inverse + self.D)
@@ -104,7 +107,7 @@ class System:
 
 @dataclass(frozen=True, slots=True)
 class PlantFactors:
-    """Factors of a real plant relative to the linear parameters in its hand file."""
+    """Linear parameters of a plant, divided by their values in the hand file."""
 
     stiffness: float = 1.0
     damping: float = 1.0
@@ -115,23 +118,24 @@ class PlantFactors:
 
 
 NOMINAL_FACTORS = PlantFactors()
-"""Factors for a plant equal to the hand file."""
+"""Factors of a plant that equals the hand file."""
 
 
 def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS) -> System:
-    """Return the sampled system of rotor, tendon, and digit.
+    """Return the sampled linear system of rotor, tendon, and digit.
 
-    Input is the motor force [N]. Outputs are travel [m], tension [N], and excursion [m].
+    The input is the commanded motor force [N]. The outputs are travel [m], tension [N], and
+    excursion [m].
 
     Args:
         model: model of the hand.
         tendon: index of the tendon.
-        kind: kind of the loop. With TENSION the digit is blocked.
-        factors: factors relative to the hand file.
+        kind: kind of the loop. In a tension loop, the digit is blocked.
+        factors: factors of the plant relative to the hand file.
 
     Returns:
-        The system with the states travel, travel rate, excursion, excursion rate, motor force. The
-        blocked digit has no excursion.
+        The system with the states travel, travel rate, excursion, excursion rate, motor force. For
+        a blocked digit, the two states of the excursion are absent.
 
     Source: two masses on a spring, torque with a first-order lag, zero-order hold.
     """
@@ -145,16 +149,17 @@ def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFa
     A = np.zeros((5, 5))
     B = np.zeros((5, 1))
     A[0, 1] = 1.0
-    # Newton's law of the rotor: motor force less tension and friction.
+    # By Newton's law, motor force minus tension and friction accelerates the rotor.
     A[1] = -tendon_force / m
     A[1, 1] -= b / m
     A[1, 4] = 1.0 / m
-    # The last state is the motor force, a first-order lag of the command.
+    # The last state is the motor force, which follows the command with a first-order lag.
     A[4, 4], B[4, 0] = -1.0 / CURRENT_LAG_S, factors.torque_constant / CURRENT_LAG_S
     if kind == LoopKind.MOTION:
         load = space.load_mass[i] * factors.mass
         A[2, 3] = 1.0
-        # Newton's law of the digit, reflected to the tendon.
+        # By Newton's law, the tension accelerates the digit. All its constants are reflected to the
+        # tendon.
         A[3] = tendon_force / load
         A[3, 2] -= space.load_stiffness[i] * factors.spring / load
         A[3, 3] -= space.load_damping[i] * factors.damping / load
@@ -164,7 +169,7 @@ def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFa
         B = B[keep]
         tendon_force = tendon_force[keep]
     n = len(A)
-    # Zero-order hold: the exponential of [[A, B], [0, 0]] has both discrete matrices.
+    # For a zero-order hold, the exponential of [[A, B], [0, 0]] contains both discrete matrices.
     discrete = expm(np.block([[A, B], [np.zeros((1, n + 1))]]) * model.period)
     C = np.zeros((3, n))
     C[0, 0] = 1.0
@@ -175,9 +180,10 @@ def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFa
 
 
 def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> System:
-    """Return the system of filter and control law of a tendon.
+    """Return the linear system of filter and control law of a tendon.
 
-    Inputs are the measurements of the previous tick. Output is the motor force [N].
+    The inputs are the measurements of the previous tick. The output is the commanded motor force
+    [N].
 
     The measurements are travel [m], tension [N] and excursion [m].
 
@@ -204,10 +210,10 @@ def open_loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFacto
 
 
 def join_to_open_loop(P: System, K: System) -> System:
-    """Return the open loop of a plant and a controller, broken at the motor force.
+    """Return the open loop of a plant P and a controller K, broken at the motor force.
 
-    The output is the force commanded by the controller, with reversed sign. Therefore the margins
-    are computed from 1 + L.
+    The output is the force that the controller commands, with the opposite sign. Therefore the
+    margins are calculated from 1 + L.
     """
     K = _without_constants(K)
     p = len(P.A)
@@ -215,18 +221,19 @@ def join_to_open_loop(P: System, K: System) -> System:
     y = len(P.C)
     A = np.zeros((p + y + n, p + y + n))
     A[:p, :p] = P.A
-    A[p : p + y, :p] = P.C  # the next tick uses these samples
+    A[p : p + y, :p] = P.C  # samples for the next tick
     A[p + y :, p : p + y] = K.B
-    A[p + y :, p + y :] = K.A  # the filter uses the commanded force
+    A[p + y :, p + y :] = K.A  # the filter also uses the force that was commanded
     B = np.vstack([P.B, np.zeros((y + n, 1))])
     C = np.hstack([np.zeros((1, p)), K.D, K.C])
     return System(A, B, -C, np.zeros((1, 1)), P.period)
 
 
 def _without_constants(K: System) -> System:
-    """Return a system without constant states, such as a setpoint.
+    """Return a system without its constant states, such as a setpoint.
 
-    The deviation of these states is always zero, and their poles at 1 do not affect stability.
+    Constant states never deviate from the operating point, and their poles at 1 do not affect
+    stability.
     """
     A = K.A - np.eye(len(K.A))
     B = K.B
@@ -237,7 +244,7 @@ def _without_constants(K: System) -> System:
 
 
 _Tick = Callable[[Matrix, Matrix], Matrix]
-"""Function of one tick of a tendon on flat vectors: (state, reading) to (next state, force)."""
+"""Function that executes one tick of a tendon: from (state, reading) to the next state, followed by the force."""
 
 
 def _central_difference(function: Callable[[float], Matrix], step: float) -> Matrix:
@@ -246,14 +253,14 @@ def _central_difference(function: Callable[[float], Matrix], step: float) -> Mat
 
 
 def _tick_with_state(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
-    """Return the result of the tick with state j changed by a step."""
+    """Return the result of a tick in which state j is changed by a step."""
     moved = state.copy()
     moved[j] += step
     return tick(moved, reading)
 
 
 def _tick_with_reading(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
-    """Return the result of the tick with reading j changed by a step."""
+    """Return the result of a tick in which reading j is changed by a step."""
     moved = reading.copy()
     moved[j] += step
     return tick(state, moved)
@@ -267,26 +274,26 @@ STATE_ROWS = [
     s.PLANNED_TENSION,
     s.PLANNED_TENSION_RATE,
 ]
-"""State rows of a tendon in the feedback: first of the filter, then of the control law."""
+"""Rows of the states of a tendon that are part of the feedback: first of the filter, then of the control law."""
 MEASUREMENT_ROWS = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
-"""State rows with the tendon's measurements."""
+"""Rows of the state block that contain the measurements of a tendon."""
 _STATE_SIZE = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
-"""Typical sizes of the states in `STATE_ROWS`, to scale the finite differences.
+"""Typical sizes of the states in `STATE_ROWS`, with which the finite differences are scaled.
 
-The sizes are powers of two, so that the difference of a copied state is exactly one.
+The sizes are powers of two. Thus the derivative of a copied state is exactly one.
 """
 
 
 class _Bench:
-    """Filter and linear control law of a hand, applied to a block of state.
+    """Filter and linear control law of a hand, which can be applied to a block of state.
 
     Attributes:
         model: model of the hand with its gains, but without limits and motor friction.
-        layout: layout of the block.
+        layout: layout of the block of state.
     """
 
     def __init__(self, model: HandModel) -> None:
-        """Remove limits and friction from a model."""
+        """Store the model without limits and motor friction."""
         unlimited = np.full(model.tendon_count, UNLIMITED)
         space = replace(model.space, coulomb=np.zeros_like(unlimited))
         self.model = replace(model, torque_limit=unlimited, space=space)
@@ -297,7 +304,7 @@ class _Bench:
     def estimate(self, block: Block) -> None:
         """Run the correction and prediction of the filter.
 
-        No torque acts yet, so no contact is detected.
+        No contact is detected, because no torque acts yet.
         """
         self.layout.view(block, "mode")[...] = Mode.ARMING
         stages.correct_estimate(block, self.layout.places, *self._constant_args)
@@ -305,14 +312,14 @@ class _Bench:
         stages.conclude_estimate(block, self.layout.places, *self._constant_args)
 
     def act(self, block: Block) -> None:
-        """Compute the torque commands from the goals and the estimate."""
+        """Calculate the torque commands from the goals and the estimates."""
         self.layout.view(block, "mode")[...] = Mode.ACTIVE
         write_tension_goals(self.model, self.layout, self._constants, block)
         stages.compute_motor_torques(block, self.layout.places, *self._constant_args, 0.0, 0, 1)
 
 
 def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Tick, Matrix, Matrix, Matrix]:
-    """Return the tick function of a tendon, state and reading at the operating point, and state steps."""
+    """Return the tick function of a tendon, its state and reading at the operating point, and the state steps."""
     bench = _Bench(model)
     point = _operating_block(bench, tendon, kind)
 
@@ -335,10 +342,10 @@ def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Ti
 
 
 def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
-    """Return the state block at the operating point.
+    """Return the block of state at the operating point.
 
-    Every digit is half closed and every tendon is taut. The tendon winds (motion) or is at rest
-    (tension), with zero error.
+    Every digit is half closed, and every tendon is taut. In a motion loop the tendon winds, in a
+    tension loop it is at rest. All errors are zero.
     """
     model = bench.model
     layout = bench.layout
@@ -385,10 +392,10 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
 
 
 def _half_closed(digit: DigitModel) -> Matrix:
-    """Return the coordinates (n_c,) of a digit with all joints inside their ranges [rad].
+    """Return coordinates (n_c,) of a digit at which all joints are well inside their ranges [rad].
 
-    All joints are at `OPERATING_ANGLE_RAD` if the coupling allows this. If the coupling does not
-    allow this, the point farthest from all limits is used.
+    If coupling and joint limits permit, all joints are at `OPERATING_ANGLE_RAD`. Otherwise, the
+    result is the point that is farthest from all limits.
     """
     low = digit.joint_min
     high = digit.joint_max
@@ -409,7 +416,10 @@ def _half_closed(digit: DigitModel) -> Matrix:
 
 
 def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
-    """Return the coordinate rates (n_c,) of a digit whose given tendon winds at a speed [m/s]."""
+    """Return coordinate rates (n_c,) of a digit with which one tendon winds at a given speed [m/s].
+
+    If the tendon belongs to another digit, all tendons of this digit wind at this speed.
+    """
     digit = model.digits[d]
     arms = digit.at(digit.coupling @ _half_closed(digit)).reduced_moment_arms
     i = tendon - digit.tendons.start
@@ -419,7 +429,7 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
 
 
 def _joint_gain(model: HandModel) -> Matrix:
-    """Return (N,) 1 where joint encoders measure the excursion of a tendon, else NaN."""
+    """Return 1 for each tendon whose excursion joint encoders measure, and NaN for all others, (N,)."""
     seen = [bool(np.any(blocks[Regime.FREE].K[:, 2])) for blocks in model.filter.blocks]
     return np.where(seen, 1.0, math.nan)
 
@@ -431,7 +441,7 @@ def _hold_goal(tendons: slice) -> DigitGoal:
 
 
 def _move_goal(digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int) -> DigitGoal:
-    """Return a motion goal equal to the estimate of the digit's tendon i: excursion [m], speed [m/s]."""
+    """Return a motion goal that equals the estimated excursion [m] and speed [m/s] of tendon i of a digit."""
     q = digit.coupling @ position
     arms = digit.at(q).reduced_moment_arms
     if 0 <= i < len(arms):

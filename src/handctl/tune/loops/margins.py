@@ -1,9 +1,9 @@
-"""Margins of a loop: gain, phase, disk, and delay margin, bandwidth, and step response.
+"""Margins of a control loop: gain, phase, disk, and delay margin, crossover frequency, and step response.
 
-A search needs thousands of margins, so each margin is computed from a frequency response. The
-margins of the package `control` are the reference in the tests. Reported margins are confirmed by
-the eigenvalues of the closed loop: no change of gain, phase, or delay within its margin moves a
-pole to the unit circle.
+A search needs thousands of margins. Therefore each margin is calculated from a frequency response.
+    The tests compare them with the margins of the package `control`. The eigenvalues of the closed
+    loop confirm reported margins: no change of gain, phase, or delay within its margin moves a pole
+    to the unit circle.
 Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
@@ -30,33 +30,33 @@ GAIN_MARGIN_DB = 6.0
 PHASE_MARGIN_DEG = 45.0
 """Smallest phase margin allowed for tuned gains on any plant of an ensemble [deg]."""
 LOWEST_HZ = 0.3
-"""Lowest frequency of a frequency response [Hz]."""
+"""Lowest frequency of the calculated frequency responses [Hz]."""
 SEARCH_POINTS = 300
-"""Number of frequencies of a response in a search."""
+"""Number of frequencies of a response that is calculated for a search."""
 FINE_POINTS = 3000
-"""Number of frequencies of a response for reported margins."""
+"""Number of frequencies of a response that is calculated for reported margins."""
 NO_GAIN = 1e-6
-"""Loop gain below which a loop counts as open and has no margin."""
+"""Largest gain over all frequencies at which a loop counts as open and has no margins."""
 MAX_GAIN_DB = 60.0
 """Largest reported gain margin [dB]. Larger margins are not confirmed."""
 MAX_DELAY_S = 0.1
 """Largest reported delay margin [s]. Larger margins are not confirmed."""
 CHECKED_FRACTIONS = 10
-"""Number of fractions of a margin at which the eigenvalues are computed."""
+"""Number of fractions of a margin at which the eigenvalues are calculated."""
 DISK_DIRECTIONS = 6
-"""Number of directions on the disk in which the eigenvalues are computed."""
+"""Number of directions on the edge of the disk at which the eigenvalues are calculated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """Margins of a loop.
+    """Margins of a control loop.
 
     Attributes:
-        gain_db: largest factor by which the loop's gain may rise or fall, the smaller of the two
-            [dB]. Zero if the loop is unstable.
+        gain_db: largest factor by which the gain of the loop may be multiplied or divided, the
+            smaller of the two [dB]. It is 0 if the loop is unstable.
         phase_deg: smallest difference of the phase from -180 degrees where the gain is one [deg].
-        disk: balanced disk margin, 0 for an unstable loop, 2 at most.
-        delay_s: largest additional delay for a stable loop [s].
+        disk: balanced disk margin, from 0 for an unstable loop to 2.
+        delay_s: largest additional delay with which the loop stays stable [s].
         crossover_hz: highest frequency at which the loop gain is one [Hz], NaN if the gain is never
             one.
         peak: largest value of the sensitivity function [1].
@@ -78,7 +78,7 @@ class Margins:
 
     @property
     def shortfall(self) -> float:
-        """Return the missing part of a margin, as a fraction of the required margin.
+        """Return the missing part of the gain or phase margin, as a fraction of the required margin.
 
         The value is 0 or less if every margin is large enough.
         """
@@ -88,12 +88,12 @@ class Margins:
 
 
 def unproven_margins(linear_margins: Margins) -> Margins:
-    """Return zero margins in place of linear margins that a simulation contradicts."""
+    """Return zero margins, in place of margins that a simulation contradicts."""
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, stable=False)
 
 
 def smaller_margins(first: Margins, second: Margins) -> Margins:
-    """Return the smaller value of each margin, and the larger crossover and peak."""
+    """Return the smaller of two values of each margin, and the larger crossover and peak."""
     return Margins(
         gain_db=min(first.gain_db, second.gain_db),
         phase_deg=min(first.phase_deg, second.phase_deg),
@@ -106,14 +106,14 @@ def smaller_margins(first: Margins, second: Margins) -> Margins:
 
 
 def frequency_grid(period: float, points: int = SEARCH_POINTS) -> Matrix:
-    """Return angular frequencies (points,) from a third of a hertz to just below half the sampling rate [rad/s]."""
+    """Return angular frequencies (points,) from `LOWEST_HZ` to just below half of the sampling rate [rad/s]."""
     return np.geomspace(2.0 * math.pi * LOWEST_HZ, 0.999 * math.pi / period, points)
 
 
 def margins_of_loop(system: System, points: int = SEARCH_POINTS) -> Margins:
-    """Return the margins of a loop L with 1 + L in the denominator.
+    """Return the margins of an open loop L, given that the closed loop has the denominator 1 + L.
 
-    The margins of an unstable loop and of a loop without gain are zero.
+    An unstable loop and a loop without gain have zero margins.
     """
     omega = frequency_grid(system.period, points)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
@@ -136,22 +136,22 @@ def margins_of_loop(system: System, points: int = SEARCH_POINTS) -> Margins:
 
 
 def _zero_margins(crossover_hz: float, peak: float, stable: bool) -> Margins:
-    """Return zero margins."""
+    """Return margins that are all zero."""
     return Margins(0.0, 0.0, 0.0, 0.0, crossover_hz, peak, stable)
 
 
 def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
-    """Return True if all closed-loop eigenvalues are inside the unit circle.
+    """Return True if all eigenvalues of the closed loop are inside the unit circle.
 
     Args:
-        system: loop.
-        factor: factor on the loop gain, complex for a change of phase.
-        delay: additional delay [ticks].
+        system: open loop.
+        factor: factor that multiplies the loop gain, complex for a change of phase.
+        delay: additional delay in the loop [ticks].
     """
     n = len(system.A)
     A = np.zeros((n + delay, n + delay), dtype=complex)
     A[:n, :n] = system.A
-    if delay:  # The loop's output passes `delay` ticks before it returns to the input.
+    if delay:  # The output of the loop returns to its input after `delay` ticks.
         A[n, :n] = system.C[0]
         A[np.arange(n + 1, n + delay), np.arange(n, n + delay - 1)] = 1.0
         A[:n, n + delay - 1] = -factor * system.B[:, 0]
@@ -161,9 +161,9 @@ def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
 
 
 def confirmed_margins(system: System) -> Margins:
-    """Return margins that are confirmed by the eigenvalues of the closed loop.
+    """Return margins that the eigenvalues of the closed loop confirm.
 
-    A margin is reduced to the value at which an eigenvalue reaches the unit circle. The frequency
+    If an eigenvalue leaves the unit circle within a margin, the margin is reduced. The frequency
     response alone would miss a resonance between two of its frequencies.
     """
     result = margins_of_loop(system, FINE_POINTS)
@@ -191,14 +191,14 @@ def confirmed_margins(system: System) -> Margins:
 
 
 def _stable_with_all(system: System, factors: Sequence[complex] | NDArray[np.complex128]) -> bool:
-    """Return True if the loop is stable with each of the factors."""
+    """Return True if the loop is stable with its gain multiplied by each of the factors."""
     return all(is_stable(system, complex(factor)) for factor in factors)
 
 
 def _disk_factors(size: float) -> NDArray[np.complex128]:
-    """Return factors on the edge of a balanced disk.
+    """Return complex factors of the loop gain on the edge of a balanced disk.
 
-    The mirror image of a factor gives the same eigenvalues, so only half of the edge is returned.
+    Complex conjugate factors have the same stability. Therefore only half of the edge is returned.
     """
     delta = size * np.exp(1j * np.linspace(0.0, np.pi, DISK_DIRECTIONS))
     return np.asarray((2.0 + delta) / (2.0 - delta))
@@ -207,10 +207,9 @@ def _disk_factors(size: float) -> NDArray[np.complex128]:
 def _largest_confirmed(
     margin: float, is_confirmed: Callable[[float], bool], fractions: int = CHECKED_FRACTIONS
 ) -> float:
-    """Return the largest part of a margin up to which all tested fractions are confirmed.
+    """Return the largest part of a margin in which every tested fraction is confirmed.
 
-    The last hundredth of a margin is not tested, because of the interpolation of the frequency
-    response.
+    The last hundredth of a margin is not tested, because the frequency response is interpolated.
     """
     tried = margin * np.linspace(0.0, 0.99, fractions + 1)[1:]
     for before, at in zip([0.0, *tried[:-1]], tried, strict=True):
@@ -220,19 +219,20 @@ def _largest_confirmed(
 
 
 def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
-    """Return 1 / |L| where L crosses the negative real axis, interpolated."""
-    # A sign change of the imaginary part between two samples with negative real parts.
+    """Return 1 / |L| at each frequency at which L crosses the negative real axis, by interpolation."""
+    # A crossing is a change of the sign of the imaginary part between two samples with negative
+    # real parts.
     i = np.flatnonzero((np.diff(np.sign(L.imag)) != 0.0) & (L.real[:-1] < 0.0) & (L.real[1:] < 0.0))
     fraction = L.imag[i] / (L.imag[i] - L.imag[i + 1])
     return [1.0 / abs(value) for value in (L.real[i] + fraction * (L.real[i + 1] - L.real[i])).tolist()]
 
 
 def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float, float]]:
-    """Return (angle from -180 degrees [rad], frequency [rad/s]) where the gain is one, interpolated."""
+    """Return (angle from -180 degrees [rad], frequency [rad/s]) for each crossing of gain 1, by interpolation."""
     size = np.log(np.maximum(np.abs(L), NO_GAIN))
     i = np.flatnonzero(np.diff(np.sign(size)) != 0.0)
     fraction = size[i] / (size[i] - size[i + 1])
-    # Interpolation in log magnitude and phase, where a response is almost linear.
+    # Log magnitude and phase are interpolated, because a response is almost linear in them.
     angle = np.abs(np.angle(-L[i] * (L[i + 1] / L[i]) ** fraction))
     return list(zip(angle.tolist(), (omega[i] * (omega[i + 1] / omega[i]) ** fraction).tolist(), strict=True))
 
@@ -250,21 +250,21 @@ def all_margins(model: HandModel, factors: PlantFactors = NOMINAL_FACTORS) -> di
 def worst_loop(
     margins_by_loop: dict[tuple[str, LoopKind], Margins],
 ) -> tuple[tuple[str, LoopKind], Margins]:
-    """Return the loop with the largest shortfall of a margin, and its name."""
+    """Return the name (tendon and kind) and the margins of the loop with the largest shortfall of a margin."""
     return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
 
 
 def step_response(model: HandModel, tendon: int, kind: LoopKind, duration: float) -> tuple[Matrix, Matrix]:
-    """Return the response of the closed loop to a force step of 1 N on the rotor.
+    """Return the response of the closed loop to a step of the disturbance force on the rotor by 1 N.
 
     Args:
         model: model of the hand.
         tendon: index of the tendon.
         kind: kind of the loop.
-        duration: duration [s].
+        duration: duration of the response [s].
 
     Returns:
-        Times (k,) [s], and travel [m] (motion) or tension [N] (tension), (k,).
+        Times (k,) [s], and travel [m] of a motion loop or tension [N] of a tension loop, (k,).
     """
     L = open_loop(model, tendon, kind)
     P = plant_system(model, tendon, kind)

@@ -1,8 +1,8 @@
-"""Step tests of both loops in lockstep, to check that the whole controller comes to rest.
+"""Step tests in a lockstep simulation, which check that the hand comes to rest with the whole controller.
 
-The linear loops neglect friction, limits, quantisation, the drives, and the other digits. Therefore
-gains are accepted only after a test on the simulated plant. The running controller must come to
-rest after a step of the angle and after a step of the tension.
+The linear models of the loops neglect friction, limits, quantisation, the drives, and the other
+digits. Therefore gains are accepted only after a test on the simulated plant. The hand must come to
+rest after a step of the joint angles, and after a step of the tensions.
 """
 
 from collections.abc import Mapping
@@ -22,36 +22,39 @@ from handctl.tune.scoring import GroundTruth, simulate_program
 from handctl.tune.search.ensemble import MIN_SPREAD
 
 STEP_RAD = 0.15
-"""Step of the angle [rad]."""
+"""Step of the joint angles [rad]."""
 HOLD_TENSION_N = 30.0
-"""Tension before the tension step [N]."""
+"""Tension of the tendons before the tension step [N]."""
 STEP_N = 10.0
-"""Step of the tension [N]."""
+"""Step of the tensions [N]."""
 OSCILLATION_ANGLE_RAD = 1e-3
-"""Smallest angle of an eigenvalue that counts as oscillating [rad per tick], 0.08 Hz at 500 Hz."""
-REST_S = 0.5
-"""Duration of the rest after a step [s]."""
-EVALUATED_S = 0.25
-"""Time at the end of the rest in which oscillations are measured [s]."""
-MAX_ANGLE_SWING_RAD = 0.01
-"""Largest oscillation of the angle that counts as rest, peak to peak [rad]."""
-MAX_FREE_SWING_N = 1.0
-"""Largest oscillation of the tension after a motion step that counts as rest, peak to peak [N]."""
-MAX_HOLD_SWING_N = 2.0
-"""Largest oscillation of a held tension that counts as rest, peak to peak [N].
+"""Angle of an eigenvalue above which the eigenvalue counts as oscillating [rad per tick].
 
-With margins of 6 dB and 45 degrees, the hand oscillates by up to 0.0004 rad, 0.1 N, and 1.2 N
-(quantisation, noise, and stick-slip). With a gain margin of 2 dB or less, or an unstable loop, it
-oscillates by 2.9 N or more, or the run ends with a fault.
+The value is 0.08 Hz at a control rate of 500 Hz.
+"""
+REST_S = 0.5
+"""Time for which the goals stay constant after a step [s]."""
+EVALUATED_S = 0.25
+"""Time at the end of this rest in which oscillations are measured [s]."""
+MAX_ANGLE_SWING_RAD = 0.01
+"""Largest oscillation of a mean joint angle at which a digit counts as at rest, peak to peak [rad]."""
+MAX_FREE_SWING_N = 1.0
+"""Largest oscillation of a tension after the angle step at which a digit counts as at rest, peak to peak [N]."""
+MAX_HOLD_SWING_N = 2.0
+"""Largest oscillation of a held tension at which a tendon counts as at rest, peak to peak [N].
+
+With margins of 6 dB and 45 degrees, the three oscillations are at most 0.0004 rad, 0.1 N, and 1.2
+N, because of quantisation, noise, and stick-slip. With a gain margin of 2 dB or less, or an
+unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with a fault.
 """
 
 
 class Steps(Exercise):
-    """Exercise that tightens, then steps the angle in free motion and the tension against the closed stops."""
+    """Exercise that tightens the tendons, then steps the angles in free motion, then the tensions of closed digits."""
 
     @property
     def stages(self) -> tuple[ExerciseStage, ...]:
-        """Return all stages in order."""
+        """Return all stages of the exercise in order."""
         return (
             ExerciseStage("settle", 0.5, HOME_ANGLE_RAD),
             ExerciseStage("move", 0.1 + REST_S, HOME_ANGLE_RAD + STEP_RAD, rest=REST_S),
@@ -65,11 +68,12 @@ class Swing:
     """Largest oscillation of any digit or tendon after the steps.
 
     Attributes:
-        angle_rad: peak to peak of the mean joint angle after the motion step [rad].
-        free_N: peak to peak of the true tension after the motion step [N].
-        hold_swings_N: (N,) peak to peak of each tendon's true tension after the tension step
-            [N].
-        failure: reason of an early end, empty otherwise.
+        angle_rad: largest oscillation of a mean joint angle after the angle step, peak to peak
+            [rad].
+        free_N: largest oscillation of a true tension after the angle step, peak to peak [N].
+        hold_swings_N: (N,) oscillation of each tendon's true tension after the tension step, peak
+            to peak [N].
+        failure: reason why the run ended early, else empty.
     """
 
     angle_rad: float
@@ -84,7 +88,7 @@ class Swing:
 
     @property
     def at_rest(self) -> bool:
-        """Return True if all oscillations are small enough for a loop at rest."""
+        """Return True if all oscillations are small enough for a hand at rest."""
         small = (
             self.angle_rad <= MAX_ANGLE_SWING_RAD
             and self.free_N <= MAX_FREE_SWING_N
@@ -100,7 +104,7 @@ class Swing:
         return replace(self, hold_swings_N=tuple(remaining))
 
     def __str__(self) -> str:
-        """Return the swings as text."""
+        """Return the oscillations as text."""
         if self.failure:
             return self.failure
         angle = np.degrees(self.angle_rad)
@@ -111,10 +115,10 @@ def simulate_swing(hand: Hand, model: HandModel, factors: Mapping[str, float], s
     """Run both steps on a simulated plant, and return the largest oscillations.
 
     Args:
-        hand: description of the plant.
+        hand: description of the simulated hand.
         model: model with the gains.
         factors: factors of the plant relative to the description.
-        seed: seed of the noise.
+        seed: seed of the simulated noise.
     """
     ticks, truth, failure = simulate_program(hand, model, Steps(), factors, seed)
     active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == Mode.ACTIVE]
@@ -127,30 +131,30 @@ def simulate_swing(hand: Hand, model: HandModel, factors: Mapping[str, float], s
 
 
 def _measure_swing(hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int) -> tuple[Matrix, Matrix]:
-    """Return the oscillations of angles and tensions in the evaluated time before `end_ns`."""
+    """Return the oscillations of angles and tensions during `EVALUATED_S` before `end_ns`."""
     times = np.arange(end_ns - round(EVALUATED_S * 1e9), end_ns, round(model.period * 1e9), dtype=np.int64)
     real = GroundTruth.of(truth, hand, times)
     return _peak_to_peak(real.angle), _peak_to_peak(real.tension)
 
 
 def _peak_to_peak(values: Matrix) -> Matrix:
-    """Return the peak to peak value of each column after subtracting a parabola.
+    """Return the peak-to-peak value of each column after a parabola is subtracted.
 
     The parabola removes slow creep, which is not an oscillation.
     """
     t = np.linspace(-1.0, 1.0, len(values))
-    # Columns t^2, t and 1.
+    # The columns are t^2, t and 1.
     powers = np.vander(t, 3)
     # The residual of the least-squares parabola is the oscillation.
     return np.asarray(np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0))
 
 
 def is_ringing(model: HandModel, factors: PlantFactors) -> bool:
-    """Return True if the linear loop of a held tension still oscillates when a step is evaluated.
+    """Return True if a linear tension loop still oscillates when the oscillations after a step are measured.
 
-    The oscillating eigenvalues are equal at every tension below the knee of the tendon. A step is
-    evaluated after `REST_S - EVALUATED_S`. By then the oscillation must be below the largest
-    oscillation of a loop at rest.
+    The oscillating eigenvalues are the same at every tension below the knee of the tendon. The
+    measurement begins `REST_S - EVALUATED_S` after the step. By then, the oscillation must be below
+    `MAX_HOLD_SWING_N`.
 
     Args:
         model: model with the gains.
@@ -175,36 +179,36 @@ WITHOUT_FEEDBACK = {
         "integral_per_s": 0.0,
     },
 }
-"""Gains with almost zero feedback while a tension is held."""
+"""Gains with almost no feedback while a tension is held."""
 CHATTER_SEEDS = 3
-"""Number of runs without feedback, of which the largest oscillation is used.
+"""Number of runs without feedback. The largest oscillation of these runs is used.
 
-Chatter varies by a factor of two between noise seeds.
+The chatter of pressed links varies by a factor of two between seeds of the noise.
 """
 MIN_FRICTION = {"friction": 1.0 - MIN_SPREAD["friction"]}
-"""Factors of the nominal plant with the lowest friction of any ensemble."""
+"""Factors of a plant that is nominal except for its friction, which is the lowest of any ensemble."""
 
 
 @dataclass
 class RestTest:
-    """Test in lockstep whether gains let the hand come to rest.
+    """Test in a lockstep simulation whether the hand comes to rest with given gains.
 
     Four plants are simulated: the nominal plant, the nominal plant with the lowest friction of any
-    ensemble, the plant with the smallest margins, and the plant with the highest friction. The
-    linear loops neglect friction, so a simulation is necessary.
+    ensemble, the plant with the smallest margins, and the plant with the highest friction. A
+    simulation is necessary because the linear models neglect friction.
 
-    Links of a digit that presses on an object may chatter, even with constant motor torque. Such an
-    oscillation is a property of the plant. The oscillation is measured on the same plant without
-    feedback, and subtracted for each tendon. If the linear loop oscillates at the tension, no
-    oscillation is subtracted. An oscillating loop is visible in its eigenvalues, which are computed
-    for each kind of tendon.
+    The links of a digit that presses on an object may chatter even at constant motor torque. This
+    oscillation is a property of the plant. It is measured on the same plant without feedback, and
+    subtracted for each tendon. Nothing is subtracted if the eigenvalues of a linear tension loop
+    show that the loop itself oscillates.
 
     Attributes:
-        hand: hand of the plants.
-        factors: factors of the ensemble's plants, the nominal plant first.
+        hand: description of the simulated hand.
+        factors: factors of the plants of the ensemble, the nominal plant first.
         plants: linear factors of the plants.
-        seed: seed of the noise.
-        reason: reason why the hand did not come to rest with the last gains, empty if it did.
+        seed: seed of the simulated noise.
+        reason: reason why the hand did not come to rest with the gains tested last, empty if it
+            did.
     """
 
     hand: Hand
@@ -224,7 +228,7 @@ class RestTest:
         return not self.reason
 
     def _simulate(self, model: HandModel) -> str:
-        """Return the reason why the hand does not come to rest, empty if it does."""
+        """Simulate the plants, and return the reason why the hand does not come to rest, empty if it does."""
         friction = [factors.get("friction", 1.0) for factors in self.factors]
         indices = sorted({0, weakest_plant(model, self.plants), friction.index(max(friction))})
         cases = {f"plant {i + 1} of {len(self.plants)}": (self.factors[i], self.seed + i) for i in indices}
@@ -236,7 +240,7 @@ class RestTest:
             result = simulate_swing(self.hand, model, factors, seed)
             if result.at_rest:
                 continue
-            # Another simulation without feedback gives the swing of the plant itself.
+            # A simulation without feedback shows how much the plant itself oscillates.
             ringing = is_ringing(model, linear_factors(factors))
             if result.failure or ringing or not result.minus(self._plant_swing(model, name, factors, seed)).at_rest:
                 return f": {name} {result}{' of a loop that oscillates' if ringing else ''}"
@@ -245,7 +249,7 @@ class RestTest:
     def _plant_swing(self, model: HandModel, name: str, factors: Mapping[str, float], seed: int) -> tuple[float, ...]:
         """Return the largest oscillation of each held tension without feedback [N].
 
-        A failed run counts as zero.
+        In a failed run, the oscillations count as zero.
         """
         if name not in self._chatter:
             still = HandModel.of(model.hand, Gains.model_validate(WITHOUT_FEEDBACK), 1.0 / model.period)

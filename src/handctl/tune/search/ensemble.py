@@ -1,6 +1,6 @@
-"""Random ensembles of plants around the identified hand.
+"""Random ensembles of plants whose parameters differ from those of the identified hand.
 
-The spread is the uncertainty of the identification.
+The parameters are spread as widely as the identification is uncertain.
 """
 
 from collections.abc import Mapping
@@ -18,32 +18,35 @@ MIN_SPREAD = {
     "motor_inertia": 0.1,
     "damping": 0.5,
 }
-"""Smallest half width of each factor, even if an identification is more precise.
+"""Smallest half width of the range of each factor, even if an identification is more precise.
 
-The stiffness and friction of a tendon change during use. The keys are the keys of the simulator's
-option `perturb`.
+The reason is that stiffness and friction of a tendon change during use. The keys are those of the
+option `perturb` of the simulator.
 """
 
 MAX_SPREAD = 0.9
-"""Largest half width, because no real plant has a factor near zero."""
+"""Largest half width of the range of a factor. No real plant has a factor near zero."""
 
 
 def draw_ensemble(count: int, seed: int, spread: Mapping[str, float] | None = None) -> tuple[dict[str, float], ...]:
-    """Return random factors for plant parameters: the nominal plant, then a scrambled Sobol sequence.
+    """Return factors of plant parameters: first those of the nominal plant, then those of random plants.
+
+    The random plants come from a scrambled Sobol sequence.
 
     Args:
         count: number of plants, including the nominal plant.
         seed: seed of the sequence.
-        spread: half width of each factor by key, e.g. from an identification, never less than
-            `MIN_SPREAD`.
+        spread: half width of the range of each factor, for example from an identification. Values
+            below those of `MIN_SPREAD` are increased to them.
 
     Returns:
-        Tables from key to factor, `count` of them.
+        `count` tables, each with the factor of each key.
     """
     half = {
         key: min(MAX_SPREAD, max(min_spread, (spread or {}).get(key, 0.0))) for key, min_spread in MIN_SPREAD.items()
     }
-    # Sobol sequences are balanced for powers of two, so the count is rounded up.
+    # A Sobol sequence is balanced if its length is a power of two. Therefore the length is rounded
+    # up.
     drawn = qmc.Sobol(len(half), seed=seed).random(1 << max(0, (max(count - 1, 1) - 1).bit_length()))
     factors = 1.0 + np.array(list(half.values())) * (2.0 * drawn[: max(count - 1, 0)] - 1.0)
     nominal = dict.fromkeys(half, 1.0)
@@ -59,11 +62,11 @@ FACTOR_OF_PARAMETER = {
     "spring_stiffness": "spring",
     "motor_inertia": "motor_inertia",
 }
-"""Key of the ensemble for each identified parameter."""
+"""Key of the factor in the ensemble for each identified parameter."""
 
 
 def ensemble_widths(identified: Mapping[str, Identified]) -> dict[str, float]:
-    """Return the half width of each factor, so that all 95 % intervals of an identification are covered.
+    """Return the half width of the range of each factor that covers all 95 % intervals of an identification.
 
     Args:
         identified: identified parameters by tendon.

@@ -1,10 +1,10 @@
 """Search for gains in simulation with Optuna. The result depends only on the seed.
 
-Optuna is asked for trials in fixed batches, and their scores are reported in order. Each batch has
-its own sampler, seeded by the study's seed and the batch's number. Therefore the result does not
-depend on the number of processes, and an interrupted study can be resumed. If all trials of a batch
-were requested from Optuna, the study resumes with the trials that have no score. An incomplete
-batch is requested again.
+Trials are requested from Optuna in batches of a fixed size, and their scores are reported in the
+same order. Each batch has a separate sampler, whose seed follows from the seed of the study and the
+number of the batch. Therefore the result does not depend on the number of processes, and an
+interrupted study can be resumed. It resumes with those trials of the last batch that have no score.
+If the request of a batch was interrupted, the whole batch is requested again.
 """
 
 import fcntl
@@ -23,7 +23,7 @@ from handctl.tune.search.space import SPACE, clamped_gains
 from handctl.tune.search.workers import Workers
 
 BATCH_SIZE = 8
-"""Number of trials per batch. More workers than this would be idle."""
+"""Number of trials in a batch. Further workers would be idle."""
 RANDOM_BATCHES = 2
 """Number of batches with random trials. Later batches use the results of earlier trials."""
 STUDY_NAME = "handctl"
@@ -37,11 +37,11 @@ class SearchPlan:
     Attributes:
         hand: text of the hand file, because a worker on another machine may not have the file.
         rate_hz: control rate [Hz].
-        gains: gains of the first trial.
-        plants: factors of the ensemble.
-        seed: seed of the sampler and of the plants' noise.
+        gains: gains of the first trial, and values of all gains that the search does not change.
+        plants: factors of the plants of the ensemble.
+        seed: seed of the samplers and of the simulated noise.
         trials: number of trials.
-        others: further gains to try first, such as those of a design.
+        others: further gains that are tried first, such as those of a design.
     """
 
     hand: str
@@ -55,14 +55,14 @@ class SearchPlan:
     def gains_of(self, number: int, values: Mapping[str, float]) -> Gains:
         """Return the gains of a trial.
 
-        The gains of the first trial may be outside of the search space.
+        The first trial has exactly the gains of the plan, which may be outside of the search space.
         """
         return with_values(self.gains, values, "study") if number else self.gains
 
     def job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return a trial as a job for a worker.
+        """Return the job with which a worker evaluates a trial.
 
-        The first trial is the reference, and is simulated with any margins.
+        The first trial is the reference. It is simulated even if its margins are too small.
         """
         return {
             "hand": self.hand,
@@ -75,7 +75,7 @@ class SearchPlan:
 
     @property
     def identity(self) -> str:
-        """Return the part of the plan that must be unchanged to resume a study."""
+        """Return the part of the plan that must not change between the start of a study and its continuation."""
         plain = {
             "hand": self.hand,
             "rate_hz": self.rate_hz,
@@ -115,7 +115,7 @@ class SearchResult:
 
     @staticmethod
     def of(trials: tuple[Trial, ...]) -> "SearchResult":
-        """Return the result for finished trials."""
+        """Return the result of a search, given its finished trials."""
         feasible = [trial for trial in trials if trial.feasible]
         best = (
             min(feasible, key=lambda trial: (trial.score.cost(_cost_reference(trials)), trial.number))
@@ -136,26 +136,26 @@ class SearchResult:
 
 
 def _cost_reference(trials: tuple[Trial, ...]) -> Score:
-    """Return the reference score for costs."""
+    """Return the score to which costs are relative."""
     first = trials[0].score
     feasible = (trial.score for trial in trials if trial.feasible)
     return next(feasible, first) if first.failure else first
 
 
 def _dominates(score: Score, other_score: Score) -> bool:
-    """Return True if no objective of a score is worse and at least one is better than in another score."""
+    """Return True if a score is better than another in at least one objective, and worse in none."""
     pairs = list(zip(score.objectives, other_score.objectives, strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 
 def run_search(plan: SearchPlan, storage: Path, workers: Workers, show: Callable[[SearchResult], None]) -> SearchResult:
-    """Run a search, or resume it.
+    """Run a search, or resume an interrupted one.
 
     Args:
         plan: plan of the search.
         storage: path of an Optuna journal, either a new file or a journal of the same plan.
         workers: workers that compute the trials.
-        show: function called after each trial.
+        show: function that is called after each trial.
 
     Raises:
         ConfigError: The storage holds another search, or another process uses it.
@@ -169,7 +169,9 @@ def run_search(plan: SearchPlan, storage: Path, workers: Workers, show: Callable
 
 @contextmanager
 def _exclusive_lock(path: Path) -> Iterator[None]:
-    """Lock a journal against other searches. The lock ends with this process, also after a crash.
+    """Lock a journal against other searches.
+
+    The lock ends with this process, even if the process crashes.
 
     Raises:
         ConfigError: Another search has the lock, or the file cannot be opened.
@@ -188,7 +190,7 @@ def _exclusive_lock(path: Path) -> Iterator[None]:
 
 
 def _open_study(plan: SearchPlan, path: Path) -> Any:
-    """Open the study of a plan in a journal.
+    """Open the study of a plan in a journal, or start it there.
 
     Raises:
         ConfigError: The journal cannot be used, or holds another search.
@@ -211,7 +213,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
         LookupError,
         TypeError,
         AssertionError,
-    ) as error:  # Optuna does not validate the file, so that a damaged journal raises any of these errors.
+    ) as error:  # Optuna does not validate the file, and a damaged journal raises any of these errors.
         raise ConfigError(f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`") from None
     if study.user_attrs.get("plan", plan.identity) != plan.identity:
         raise ConfigError(
@@ -224,13 +226,13 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
 
 
 def _truncate_partial_line(path: Path) -> None:
-    """Remove an incomplete last line of a journal, for example after a power failure.
+    """Remove the last line of a journal if it is incomplete, for example after a power failure.
 
-    Optuna would append to this line.
+    Optuna would append its next entry to this line.
 
     Raises:
         OSError: The file cannot be read or written.
-        ValueError: The file is not a journal. The file is not changed.
+        ValueError: The file is not a journal. It stays unchanged.
     """
     if not path.is_file():
         return
@@ -242,7 +244,7 @@ def _truncate_partial_line(path: Path) -> None:
 
 
 def _run_batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[SearchResult], None]) -> None:
-    """Compute the missing trials of the present batch, and report them in the order of their requests."""
+    """Evaluate the trials of the present batch that have no score, and report their scores in order."""
     finished_count = len(_finished_trials(study))
     trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
     jobs = [plan.job(finished_count + i, trial.params) for i, trial in enumerate(trials)]
@@ -257,17 +259,18 @@ def _run_batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[S
 
 
 def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
-    """Return the trials of the present batch that have no result yet.
+    """Return the trials of the present batch that have no score yet.
 
-    A whole batch is requested from Optuna before its first score is reported. Therefore a longer or
-    a resumed search has the same trials as a single run.
+    A whole batch is requested from Optuna before the first score of this batch is reported.
+    Therefore an interrupted or extended search has the same trials as an uninterrupted one.
     """
     from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState
 
     count = BATCH_SIZE - finished_count % BATCH_SIZE
     still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
-    # If the whole batch was requested, all its open trials exist and have all parameters.
+    # If the whole batch was requested before, its open trials have the right number and all
+    # parameters.
     if len(still_open) == count and all(len(trial.params) == len(SPACE) for trial in still_open):
         return [OptunaTrial(study, trial._trial_id) for trial in still_open]
     _close_open_trials(study)
@@ -279,7 +282,7 @@ def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]
 
 
 def _close_open_trials(study: Any) -> None:
-    """Mark the queued trials and the trials without result as failed."""
+    """Mark queued trials and trials without a score as failed."""
     from optuna.trial import TrialState
 
     while study.get_trials(deepcopy=False, states=(TrialState.WAITING,)):
@@ -289,10 +292,10 @@ def _close_open_trials(study: Any) -> None:
 
 
 def _report_score(study: Any, trial: Any, score: Score) -> None:
-    """Report a score to the study."""
-    # The attribute is set before the state, so a finished trial always has a score.
+    """Report the score of a trial to the study."""
+    # The attribute is set before the state. Thus every finished trial has a score.
     trial.set_user_attr("score", asdict(score))
-    if not trial.constraints:  # The constraint exists if an earlier call was interrupted before `tell`.
+    if not trial.constraints:  # It already exists if an earlier call was interrupted before `tell`.
         trial.set_constraint("margins", score.shortfall)
     study.tell(trial, list(score.objectives))
 
@@ -301,7 +304,7 @@ def _sampler(seed: int, batch: int) -> Any:
     """Return the sampler of a batch."""
     from optuna.samplers import RandomSampler, TPESampler
 
-    # With a prime factor, batches of different studies have different seeds.
+    # Because of the prime factor, batches of different studies have different seeds.
     batch_seed = (seed * 7919 + batch) % (1 << 31)
     if batch < RANDOM_BATCHES:
         return RandomSampler(seed=batch_seed)
@@ -309,7 +312,7 @@ def _sampler(seed: int, batch: int) -> Any:
 
 
 def _distributions() -> dict[str, Any]:
-    """Return the search space as Optuna distributions."""
+    """Return the search space as distributions of Optuna."""
     from optuna.distributions import FloatDistribution
 
     return {
@@ -318,7 +321,7 @@ def _distributions() -> dict[str, Any]:
 
 
 def _finished_trials(study: Any) -> tuple[Trial, ...]:
-    """Return the finished trials in order."""
+    """Return the finished trials of a study in order."""
     from optuna.trial import TrialState
 
     done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))

@@ -1,4 +1,4 @@
-"""Search space: gains by key, with the range of each."""
+"""Search space: the gains that a search varies, with the range of each."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,10 @@ from handctl.core.gains.gains import Gains
 
 
 class GainRange(NamedTuple):
-    """Range of a gain. With `log` the search is uniform in the logarithm of the gain."""
+    """Range of a gain in a search.
+
+    If `log` is True, the search is uniform in the logarithm of the gain.
+    """
 
     low: float
     high: float
@@ -25,13 +28,13 @@ SPACE = {
     "filter.motor_disturbance_N": GainRange(0.03, 3.0, True),
     "filter.free_rate_N_per_s": GainRange(5.0, 400.0, True),
 }
-"""Ranges of weights, disturbance rejection, and filter parameters.
+"""Ranges of all gains that a search varies: weights, disturbance rejection, and filter parameters.
 
-The force of Bryson's rule is fixed, because only the ratios of weights matter.
+The force of Bryson's rule is fixed, because only ratios of weights have an effect.
 """
 
 
 def clamped_gains(gains: Gains) -> dict[str, float]:
-    """Return gains as a point of the search space, limited to its ranges."""
+    """Return gains as a point of the search space, clamped to the ranges."""
     values = values_by_key(gains)
     return {key: min(max(values[key], gain_range.low), gain_range.high) for key, gain_range in SPACE.items()}

@@ -1,4 +1,7 @@
-"""Worker process of a search: jobs as JSON lines on standard input, scores on standard output."""
+"""Worker process of a search.
+
+It reads jobs as JSON lines from standard input, and writes scores to standard output.
+"""
 
 import json
 import signal
@@ -9,7 +12,7 @@ from handctl.tune.scoring import evaluate_job
 
 
 def main() -> int:
-    """Evaluate jobs until the input ends. Ctrl-C is ignored here and handled by the search."""
+    """Evaluate jobs until the input ends. The worker ignores Ctrl-C, which the search handles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for line in sys.stdin:
         try:

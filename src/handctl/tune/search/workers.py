@@ -1,6 +1,6 @@
 """Workers of a search: this process, a pool of processes, or a Dask cluster.
 
-The scores do not depend on the kind.
+The scores do not depend on the kind of workers.
 """
 
 import json
@@ -22,15 +22,15 @@ Result = dict[str, Any]
 ATTEMPTS = 3
 """Number of attempts at a job.
 
-If a worker dies in every attempt, the search reports the job as the cause.
+If a worker dies in every attempt, the search ends and reports the job as the cause.
 """
 
 
 class Workers(Protocol):
-    """Interface of workers that compute scores."""
+    """Interface of the workers that calculate scores."""
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """Yield the (index, score) pair of each job, in the order of completion."""
+        """Yield index and score of each job, in the order in which the jobs are finished."""
         ...
 
     def close(self) -> None:
@@ -39,36 +39,40 @@ class Workers(Protocol):
 
 
 class InProcessWorkers:
-    """Worker in this process that computes one job after the other."""
+    """Workers of which all jobs run in this process, one after the other."""
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """Yield the (index, score) pair of each job. See `Workers`."""
+        """Yield index and score of each job. See `Workers`."""
         for i, job in enumerate(jobs):
             yield i, evaluate_job(job)
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing, because these workers hold no resources."""
 
 
 class ProcessPool:
-    """Pool of processes on this machine. A dead process is replaced, and its job is repeated."""
+    """Pool of worker processes on this machine.
+
+    A dead process is replaced, and its job is repeated.
+    """
 
     def __init__(self, count: int) -> None:
-        """Start the processes."""
+        """Start the worker processes."""
         self._processes = [self._start() for _ in range(count)]
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Return the process ids of the workers."""
+        """Return the process identifiers of the workers."""
         return tuple(worker.pid for worker in self._processes)
 
     @staticmethod
     def _start() -> "subprocess.Popen[bytes]":
-        # Each worker uses one core. Threads of the numerical libraries would compete for the cores.
+        # Each worker uses one core. Additional threads of numerical libraries would compete for the
+        # cores.
         environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         command = [sys.executable, "-m", "handctl.tune.search.worker"]
-        # In a separate session the worker does not receive the terminal's Ctrl-C, also during its
-        # imports.
+        # In a separate session, the worker does not receive Ctrl-C from the terminal, not even
+        # during its imports.
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -78,10 +82,10 @@ class ProcessPool:
         )
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """Yield the (index, score) pair of each job. See `Workers`.
+        """Yield index and score of each job. See `Workers`.
 
         Raises:
-            ConfigError: A job is invalid, or every worker that computes a job dies.
+            ConfigError: A job is invalid, or every worker that tries a job dies.
         """
         waiting = deque(range(len(jobs)))
         attempts = [0] * len(jobs)
@@ -101,7 +105,8 @@ class ProcessPool:
                 attempts[i] += 1
                 if attempts[i] == ATTEMPTS:
                     raise ConfigError(f"a worker died {ATTEMPTS} times on one trial", "tune search", "--jobs 1")
-                # The job of a dead worker is the next job, so the order of results changes little.
+                # The job of a dead worker is repeated next. Thus the order of the results changes
+                # little.
                 waiting.appendleft(i)
 
     def _wait_for_readable(self, busy: Iterable[int]) -> list[int]:
@@ -120,10 +125,10 @@ class ProcessPool:
             channel.write(json.dumps(job).encode() + b"\n")
             channel.flush()
         except BrokenPipeError:
-            return  # the reader of the output detects the end of the worker
+            return  # whoever reads the output detects that the worker died
 
     def _replace(self, slot: int) -> None:
-        """Replace a worker."""
+        """Replace a worker by a new process."""
         self._processes[slot].kill()
         self._processes[slot].communicate()
         self._processes[slot] = self._start()
@@ -139,13 +144,14 @@ class Cluster:
     """Connection to an existing Dask cluster."""
 
     def __init__(self, address: str) -> None:
-        """Connect to a cluster.
+        """Connect to a Dask cluster.
 
         Args:
             address: address of the scheduler.
 
         Raises:
-            ConfigError: distributed is not installed, or the scheduler does not answer.
+            ConfigError: The package `distributed` is not installed, or the scheduler does not
+                answer.
         """
         require_extra("tune search --scheduler", "distributed")
         from distributed import Client
@@ -156,7 +162,10 @@ class Cluster:
             raise ConfigError(f"no cluster answers: {error}", f"--scheduler {address}", "tcp://HOST:PORT") from None
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """Yield (index, score) of each job. See `Workers`. Dask repeats the jobs of a lost worker."""
+        """Yield index and score of each job.
+
+        See `Workers`. Dask repeats the jobs of a lost worker.
+        """
         from distributed import as_completed
 
         futures = self._client.map(evaluate_job, jobs, pure=False)
@@ -181,7 +190,7 @@ def _check_result(result: Result) -> Result:
 
 
 def make_workers(count: int, scheduler: str | None) -> Workers:
-    """Return the workers for a number of processes, or for a Dask scheduler."""
+    """Return workers: a number of processes on this machine, or the cluster of a Dask scheduler."""
     if scheduler:
         return Cluster(scheduler)
     return InProcessWorkers() if count == 1 else ProcessPool(count)

@@ -1,1 +1,1 @@
-"""Content of the dashboard, computed from the topics of a run."""
+"""Content of the dashboard in the viewer. The content is computed from the topics of a log."""

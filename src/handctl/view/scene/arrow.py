@@ -1,4 +1,4 @@
-"""Conversion between Rerun's chunks and numpy: times, numbers and columns."""
+"""Conversion between Rerun's chunks and numpy arrays: times, numbers and columns."""
 
 from collections.abc import Iterable
 
@@ -9,9 +9,9 @@ from rerun import ComponentColumn, TimeColumn
 from rerun.chunk import Chunk
 
 TIMELINE = "run_time"
-"""Timeline of the time since the start of the run, as `RunLog.times`."""
+"""Name of the timeline with the time since the start of the run, as in `RunLog.times`."""
 LOG_TIME = "message_log_time"
-"""Timeline of Rerun's MCAP reader."""
+"""Name of the timeline on which Rerun's MCAP reader puts log times."""
 _INDEX = b"index"
 
 Times = NDArray[np.int64]
@@ -19,28 +19,31 @@ Floats = NDArray[np.float64]
 
 
 def times_since_start(chunk: Chunk, offset_ns: int) -> Times:
-    """Return the time of each row of a chunk since the start of the run (n,) [ns]."""
+    """Return the time since the start of the run of each row in a chunk (n,) [ns]."""
     return np.asarray(chunk.to_record_batch().column(LOG_TIME).cast(pa.int64())) - offset_ns
 
 
 def timed_chunk(entity: str, times: Times, columns: Iterable[ComponentColumn]) -> Chunk:
-    """Create a chunk of rows.
+    """Create a chunk whose rows have times.
 
     Args:
-        entity: path of the entity.
+        entity: path of the entity that has the rows.
         times: (n,) time of each row since the start of the run [ns].
-        columns: components of the rows.
+        columns: components of the entity, with a value for each row.
     """
     return Chunk.from_columns(entity, [TimeColumn(TIMELINE, duration=times.astype("timedelta64[ns]"))], columns)
 
 
 def static_chunk(entity: str, columns: Iterable[ComponentColumn]) -> Chunk:
-    """Create a chunk of one row for all times."""
+    """Create a chunk with a single row that is valid at all times."""
     return Chunk.from_columns(entity, [], columns)
 
 
 def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
-    """Return the chunk on the timeline of the run. A chunk without times is returned unchanged."""
+    """Return a chunk of Rerun's MCAP reader on the timeline of the run.
+
+    A chunk without times stays unchanged.
+    """
     if LOG_TIME not in chunk.timeline_names:
         return chunk
     batch = chunk.to_record_batch()
@@ -54,7 +57,7 @@ def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
                 column.type,
                 metadata=field.metadata | {b"rerun:index_name": TIMELINE.encode()},
             )
-        # Rerun marks each timeline as an index. Only the timeline of the run remains.
+        # Rerun marks each timeline as an index. All timelines except that of the run are removed.
         elif (field.metadata or {}).get(b"rerun:kind") == _INDEX:
             continue
         fields.append(field)
@@ -65,7 +68,10 @@ def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
 
 
 def decoded_messages(chunk: Chunk) -> pa.StructArray | None:
-    """Return the decoded messages of a chunk, one per row, or None if the chunk has other content."""
+    """Return the decoded messages of a chunk, one for each row.
+
+    Return None if the chunk has no messages.
+    """
     batch = chunk.to_record_batch()
     for field, column in zip(batch.schema, batch.columns, strict=True):
         if field.name.endswith(":message"):
@@ -74,5 +80,5 @@ def decoded_messages(chunk: Chunk) -> pa.StructArray | None:
 
 
 def column_as_array(column: pa.ListArray) -> Floats:
-    """Return a column of lists of equal length as an array (n, width)."""
+    """Return a column of n lists of equal length as an array (n, width)."""
     return np.asarray(column.flatten(), np.float64).reshape(len(column), -1)

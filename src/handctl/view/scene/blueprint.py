@@ -1,4 +1,4 @@
-"""Layout of the dashboard."""
+"""Layout of the dashboard in the viewer."""
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -10,31 +10,34 @@ from handctl.view.scene.run_info import RunInfo
 LINKED = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
 NO_LEGEND = rrb.PlotLegend(visible=False)
 ROW_HEIGHTS = [0.34, 0.44, 0.22]
-"""Heights of the right column's rows, as fractions."""
+"""Heights of the rows in the right column of the dashboard, as fractions of the column."""
 HEADROOM = 1.06
-"""Height of the tension plot, as a multiple of the largest tension limit."""
+"""Upper end of the tension plot, as a multiple of the largest tension limit."""
 LAST_SECONDS = rrb.VisibleTimeRange(
     TIMELINE,
     start=rrb.TimeRangeBoundary.cursor_relative(seconds=-12),
     end=rrb.TimeRangeBoundary.cursor_relative(seconds=0),
 )
-"""Visible time range of the live view."""
+"""Time range that the plots show in the live view: the last twelve seconds."""
 Window = list[rrb.VisibleTimeRange] | None
 BACKGROUND = (17, 21, 27)
-"""Background colour of the hand view: red, green, blue, 0 to 255."""
+"""Background colour of the view of the hand: red, green, blue, 0 to 255."""
 CAMERA_POSITION = (1.5, -0.75, 1.0)
-"""Position of the camera in hand lengths: in front of the palm, on the thumb side, and above."""
+"""Position of the camera relative to the hand, in lengths of the longest digit.
+
+The camera is in front of the palm, on the thumb side, and above.
+"""
 
 
 def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
     """Return the layout of the dashboard.
 
-    Hand, timing and log are on the left. Tensions, angles and states are on the right. All plots
-    share one time axis.
+    The hand, the timing and the log lines are on the left. Forces, joint angles and states are on
+    the right. All plots share one time axis.
 
     Args:
-        run: run and hand.
-        live: True to show the last seconds and follow the run.
+        run: run and hand to show.
+        live: True to show only the last seconds, and to move on with the run.
     """
     window = [LAST_SECONDS] if live else None
     left = rrb.Vertical(_hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26])
@@ -53,7 +56,7 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
 
 
 def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
-    """Return the view of the hand."""
+    """Return the three-dimensional view of the hand."""
     mounts = np.array([digit.mount_position_m for digit in run.hand.digit])
     middle = mounts.mean(axis=0) * (1, 0, 1) + run.reach * np.array([0.4, -0.05, -0.06])
     shown = "object and table as in the simulator" if run.truth else "forces of the object on the fingertips"
@@ -70,7 +73,7 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
 
 
 def _force_plots(run: RunInfo, window: Window) -> rrb.Horizontal:
-    """Return the plots of tensions and fingertip forces."""
+    """Return the plots of tendon tensions and fingertip forces."""
     tensions = rrb.TimeSeriesView(
         name="Tendon tension [N], 1-sigma band",
         contents="/tension/**",
@@ -90,7 +93,7 @@ def _force_plots(run: RunInfo, window: Window) -> rrb.Horizontal:
 
 
 def _angle_plots(run: RunInfo, window: Window) -> rrb.Grid:
-    """Return one plot of joint angles per digit."""
+    """Return a plot of the joint angles of each digit."""
     views = [
         rrb.TimeSeriesView(
             name=f"{digit.name} joint angles [deg], 1-sigma band, grey: command",
@@ -105,7 +108,7 @@ def _angle_plots(run: RunInfo, window: Window) -> rrb.Grid:
 
 
 def _state_lanes(window: Window) -> rrb.StateTimelineView:
-    """Return the lanes of phase, mode, and action."""
+    """Return the lanes that show grasp phase, mode of the hand and safety action over time."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety",
         contents="/state/**",
@@ -115,7 +118,7 @@ def _state_lanes(window: Window) -> rrb.StateTimelineView:
 
 
 def _timing_plots(run: RunInfo, window: Window) -> rrb.Horizontal:
-    """Return the plots of lateness and bus load."""
+    """Return the plots of the lateness of the ticks and of the bus loads."""
     late = "Tick late: never, in virtual time" if run.header.deterministic else "Tick late [us]"
     return rrb.Horizontal(
         rrb.TimeSeriesView(

@@ -1,4 +1,4 @@
-"""Load of each bus, computed from the frames of the ticks."""
+"""Load of each bus, computed from the CAN frames in the log."""
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -10,25 +10,26 @@ from handctl.view.scene.arrow import Floats
 from handctl.view.scene.run_info import RunInfo
 
 MAX_PAYLOAD = 64
-"""Largest payload of a frame [bytes]."""
+"""Largest payload of a CAN FD frame [bytes]."""
 LOAD_WINDOW_NS = 100_000_000
-"""Window of the load [ns].
+"""Length of the time window for which the load is computed [ns].
 
-The reply to a tick may be read in the next tick, so the load of a single tick is not meaningful.
+The reply to a command of one tick may be read in the next tick. So the load in a single tick means
+little.
 """
 
 
 class FrameLoad:
-    """Load of each bus: worst-case time of the frames as a fraction of the last `LOAD_WINDOW_NS`.
+    """Calculator for the load of each bus: the fraction of the last `LOAD_WINDOW_NS` that the frames take at worst.
 
-    Ticks must be passed in order.
+    The ticks must be passed in order.
     """
 
     def __init__(self, run: RunInfo) -> None:
-        """Compute a table with the time of each frame length on each bus.
+        """Compute a table with the worst-case time of a frame of each length on each bus.
 
         Args:
-            run: run and hand, with buses and period.
+            run: run and hand, with the buses and the control period.
         """
         self._period_ns = run.header.period_ns
         seconds = [
@@ -46,7 +47,7 @@ class FrameLoad:
         self._spent = np.empty((0, len(self._times)), np.int64)
 
     def of(self, ticks: pa.StructArray) -> Floats:
-        """Return the load of each bus at the next n ticks (n, buses), 0 to 1."""
+        """Return the load of each bus at each of the next n ticks (n, buses), from 0 to 1."""
         now = np.asarray(ticks.field("t_ns"))
         t = np.concatenate([self._t, now])
         spent = np.concatenate(
@@ -56,7 +57,7 @@ class FrameLoad:
             ]
         )
         total = np.concatenate([np.zeros((1, spent.shape[1]), np.int64), np.cumsum(spent, axis=0)])
-        # Differences of the running total give the sums over the window.
+        # Differences of the running total are the sums over the window.
         first = np.searchsorted(t, now - LOAD_WINDOW_NS, side="right")
         span = np.clip(now + self._period_ns, self._period_ns, LOAD_WINDOW_NS)
         self._t = t[first[-1] :]
@@ -64,9 +65,9 @@ class FrameLoad:
         return np.asarray((total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64)
 
     def _spent_on(self, frames: pa.ListArray) -> NDArray[np.int64]:
-        """Return the time that the frames of each tick occupy each bus (n, buses) [ns].
+        """Return for how long the frames of each tick occupy each bus (n, buses) [ns].
 
-        Integers are used, so that sums do not depend on the order.
+        The times are integers, so that sums do not depend on the order of addition.
         """
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)

@@ -1,4 +1,4 @@
-"""Shapes of the hand, drawn solid and in the colours of their digits."""
+"""Shapes of the hand's links, drawn solid in the colours of the digits."""
 
 from collections.abc import Iterator
 
@@ -16,22 +16,24 @@ _SHAPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3
     "Cylinders3D": rr.Cylinders3D,
     "Ellipsoids3D": rr.Ellipsoids3D,
 }
-"""Rerun's archetypes for the geometry of a URDF."""
+"""Rerun's archetypes for the shapes in a URDF file, by name."""
 
 
 MEDIA_TYPES = {".stl": "model/stl", ".obj": "model/obj"}
-"""Media type of each kind of mesh file."""
+"""Media type of each kind of mesh file, by suffix."""
 
 
 def entity_path(path: str) -> str:
-    """Return the entity path /hand/<link>/<part> for /<robot>/visual_geometries/<link>/<part>."""
+    """Return the path /hand/<link>/<part> for an entity of Rerun at /<robot>/visual_geometries/<link>/<part>."""
     return "/hand/" + path.split("/visual_geometries/", 1)[1]
 
 
 def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
-    """Yield a part of the hand from the log's URDF as a solid. A link with a mesh yields nothing.
+    """Yield the chunks that draw a part of the hand from the log's URDF as a solid.
 
-    Rerun draws wire frames by default.
+    A link with a mesh yields nothing.
+
+    By default, Rerun draws such shapes as wire frames.
     """
     path = entity_path(chunk.entity_path)
     link = path.split("/")[2]
@@ -46,7 +48,7 @@ def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
 
 
 def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the meshes of links and palm, each at /hand/<link>/mesh in the frame of its link."""
+    """Yield the chunks that draw the meshes of links and palm as entities /hand/<link>/mesh in the links' frames."""
     for link, attached in run.meshes.items():
         mesh = attached.mesh
         path = f"/hand/{link}/mesh"
@@ -62,7 +64,7 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
 
 
 def link_colour(link: str, run: RunInfo) -> palette.Colour:
-    """Return the colour of a link: the colour of its digit, lighter towards the tip."""
+    """Return the colour of a link: the colour of the digit, lighter towards the tip."""
     colours = {
         f"{digit.name}_link{i + 1}": shade
         for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True)

@@ -1,4 +1,4 @@
-"""Colours of the viewer. Each digit has one hue in the hand, its arrows and its lines."""
+"""Colours of the dashboard. All links, force arrows and plot lines of a digit have one hue."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,10 @@ class Colour(NamedTuple):
     blue: int
 
     def mixed(self, other: "Colour", fraction: float) -> "Colour":
-        """Return the mix of two colours. Fraction 0 gives this colour, 1 the other colour."""
+        """Return a mix of this colour and the other colour.
+
+        Fraction 0 gives this colour, and 1 gives the other.
+        """
         return Colour(*(round(a + fraction * (b - a)) for a, b in zip(self, other, strict=True)))
 
 
@@ -28,7 +31,11 @@ DIGITS = (
     Colour(184, 146, 255),
     Colour(206, 206, 92),
 )
-"""Colours of the digits, for a dark background and for red-green colour blindness."""
+"""Colours of the digits.
+
+The colours suit a dark background. People with red-green colour blindness can tell the colours
+apart.
+"""
 
 STATES = {
     "idle": Colour(84, 90, 100),
@@ -53,7 +60,7 @@ STATES = {
     "relax": Colour(255, 140, 64),
     "cut": Colour(255, 72, 66),
 }
-"""Colours of grasp phases and modes of the hand."""
+"""Colours of the grasp phases and of the modes of the hand, by name."""
 ACTIONS = {
     "pass": Colour(66, 74, 84),
     "warn": Colour(206, 206, 92),
@@ -61,11 +68,11 @@ ACTIONS = {
     "relax": Colour(255, 120, 64),
     "cut": Colour(255, 72, 66),
 }
-"""Colours of the actions of the safety monitor."""
+"""Colours of the actions of the safety monitor, by name."""
 
 
 def digit_colour(index: int) -> Colour:
-    """Return the colour with a number, of ``colour_numbers`` for a digit."""
+    """Return the colour with a given number. For a digit, ``colour_numbers`` gives this number."""
     return DIGITS[index % len(DIGITS)]
 
 
@@ -75,5 +82,5 @@ def joint_colours(index: int, number: int) -> list[Colour]:
 
 
 def dimmed(colour: Colour) -> Colour:
-    """Return the dimmed colour for a command, drawn next to its measured value."""
+    """Return the dimmed colour for a command that is drawn next to an estimate."""
     return colour.mixed(BLACK, 0.45)

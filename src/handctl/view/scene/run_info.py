@@ -1,4 +1,4 @@
-"""Run and hand of a log, as used by converters and layout."""
+"""Data about the run and the hand of a log, which the converters and the layout of the dashboard use."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,10 +37,10 @@ class RunInfo:
 
     @classmethod
     def of(cls, header: RunHeader, name: str) -> "RunInfo":
-        """Return the data about the run in a log.
+        """Return the data about a run from the header of a log.
 
         Raises:
-            LogError: the names of the description differ from those of the header.
+            LogError: the names in the description of the hand differ from those in the header.
             ConfigError: the description in the log is not a valid hand.
         """
         where = f"{name}, attachment hand.toml"
@@ -48,12 +48,15 @@ class RunInfo:
 
     @cached_property
     def meshes(self) -> dict[str, AttachedMesh]:
-        """Return the meshes in the log, by link."""
+        """Return the meshes that the log contains, by name of the link."""
         return attached_meshes(self.hand, self.header.attachments)[0]
 
     @cached_property
     def note(self) -> str:
-        """Return a line about meshes that the log does not have, or an empty text."""
+        """Return a line about the meshes that the log lacks.
+
+        The text is empty if no mesh is missing.
+        """
         missing = attached_meshes(self.hand, self.header.attachments)[1]
         if not missing:
             return ""
@@ -61,17 +64,18 @@ class RunInfo:
 
     @property
     def application(self) -> str:
-        """Return the application id for Rerun, which stores one layout per id."""
+        """Return the application id for Rerun. Rerun stores one layout for each id."""
         return f"handctl_{self.hand.name}"
 
     def fields(self, table: Floats) -> dict[str, Floats]:
-        """Return the rows of /controller/values, split into fields.
+        """Return rows of the topic /controller/values, divided into telemetry fields.
 
         Args:
-            table: (n, columns).
+            table: (n, columns) rows of the topic.
 
         Returns:
-            Array (n, names) for each field, NaN for fields not logged by earlier versions.
+            an array (n, names) for each field. The array is NaN for a field that the log of an
+            earlier version lacks.
         """
         slices = columns_of_fields(self.header, row_fields(self.header, table.shape[1]))
         missing = {
@@ -81,7 +85,7 @@ class RunInfo:
 
     @property
     def limits(self) -> list[float]:
-        """Return the distinct tension limits of the tendons [N]."""
+        """Return the different tension limits that the tendons of the hand have, in rising order [N]."""
         return sorted({tendon.tension_max_N for tendon in self.hand.tendon})
 
     @property
@@ -91,5 +95,5 @@ class RunInfo:
 
 
 def _missing_fields(slices: dict[str, slice]) -> list[tuple[str, str]]:
-    """Return name and axis of the fields missing from a log."""
+    """Return name and axis of each telemetry field that a log lacks."""
     return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in slices]

@@ -1,4 +1,4 @@
-"""Names, colours and frames of the entities: the static chunks of a run."""
+"""Static chunks of a run: names, colours and frames of the dashboard's entities."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,11 +15,14 @@ from handctl.view.scene.run_info import RunInfo
 ESTIMATE_WIDTH = 1.8
 COMMAND_WIDTH = 1.0
 LIMIT_WIDTH = 2.2
-"""Line widths [points]."""
+"""Width of the lines for tension limits [points].
+
+The widths above are for estimates and commands.
+"""
 
 
 def style_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield all static chunks of a run."""
+    """Yield the static chunks of a run with names, colours and frames."""
     yield from _tension_styles(run)
     yield from _angle_styles(run)
     yield from _force_styles(run)
@@ -38,13 +41,13 @@ def style_chunks(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _line_style(entity: str, names: Sequence[str], colours: Sequence[Colour], width: float) -> Chunk:
-    """Return the style of plot lines."""
+    """Return the chunk with the style of the plot lines of an entity."""
     style = rr.SeriesLines.columns(names=list(names), colors=list(colours), widths=[width] * len(names))
     return static_chunk(entity, style.partition([len(names)]))
 
 
 def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
-    """Return the style of plot lines with a band for the standard deviation."""
+    """Return the chunk with the style of plot lines that have a band for the standard deviation."""
     style = rr.Measurements.columns(
         names=list(names),
         colors=list(colours),
@@ -55,10 +58,10 @@ def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], un
 
 
 def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
-    """Yield styles of the tensions: estimates in the colours of the digits, commands dimmed, limits red."""
+    """Yield the styles of the tension plot: estimates in the colours of the digits, commands dimmed, limits red."""
     names = run.hand.tendon_names
-    # One slice of tendons per digit. Each digit has its own colour, and each of its tendons a
-    # shade.
+    # There is one slice of tendons for each digit. Each digit has its own colour, and each of its
+    # tendons has a shade of it.
     tendon_slices = run.hand.digit_tendons.values()
     colours = [
         shade
@@ -77,7 +80,7 @@ def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
-    """Yield styles of the joint angles."""
+    """Yield the styles of the plots of joint angles."""
     for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True):
         names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
         colours = palette.joint_colours(index, len(names))
@@ -92,7 +95,10 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _force_styles(run: RunInfo) -> Iterator[Chunk]:
-    """Yield frames and colours of the force arrows. Each arrow starts at its fingertip."""
+    """Yield the frames and colours of the force arrows.
+
+    Each arrow starts at the fingertip on which the force acts.
+    """
     for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit_names, strict=True):
         colour = palette.digit_colour(index).mixed(palette.WHITE, 0.3)
         yield static_chunk(f"/force/{digit}", rr.CoordinateFrame.columns(frame=[f"{digit}_tip"]))
@@ -100,7 +106,7 @@ def _force_styles(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _state_styles() -> Iterator[Chunk]:
-    """Yield names and colours of the states."""
+    """Yield the names and colours of the states in the lanes of the dashboard."""
     for lane, colours in (
         ("phase", palette.STATES),
         ("mode", palette.STATES),

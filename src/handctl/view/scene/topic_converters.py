@@ -25,31 +25,31 @@ from handctl.view.scene.geometry import solid_chunks
 from handctl.view.scene.run_info import RunInfo
 
 FORCE_SCALE = 0.008
-"""Length of a force arrow [m/N]."""
+"""Length of a force arrow for each newton of force [m/N]."""
 ARROW_RADIUS = 0.0013
 """Radius of a force arrow [m]."""
 MIN_FORCE = 0.05
 """Smallest force drawn as an arrow [N]."""
 
 Converter = Callable[[Chunk], Iterator[Chunk]]
-"""Function that converts a chunk of one topic to new chunks."""
+"""Function that converts a chunk of one topic to chunks for the dashboard."""
 
 STATE_TOPICS = {
     "/grasp/phase": "/state/phase",
     "/controller/mode": "/state/mode",
     "/safety/action": "/state/safety",
 }
-"""Entity of each topic with a named state."""
+"""Entity of the dashboard for each topic whose messages name a state."""
 
 
 class TopicConverters:
-    """Converter of chunks, according to their topics."""
+    """Converter that turns chunks of a log into chunks for the dashboard, according to their topics."""
 
     def __init__(self, run: RunInfo) -> None:
-        """Set the converter of each topic.
+        """Choose the converter of each topic.
 
         Args:
-            run: run and hand.
+            run: run and hand of the log.
         """
         self._run = run
         self._offset = run.header.offset_ns
@@ -69,7 +69,7 @@ class TopicConverters:
         return [f"^{topic}$" for topic in exact] + ["^/actuator/.*/temperature$"]
 
     def __call__(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Yield the new chunks for a chunk of a log."""
+        """Yield the chunks for the dashboard that a chunk of the log gives."""
         entity = chunk.entity_path
         if "/visual_geometries/" in entity:
             yield from solid_chunks(chunk, self._run)
@@ -81,7 +81,7 @@ class TopicConverters:
             yield chunk_on_run_time(chunk, self._offset)
 
     def _convert_values(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert the telemetry of the controller."""
+        """Convert the telemetry of the controller to plots, force arrows and values."""
         messages = decoded_messages(chunk)
         if messages is None:
             return
@@ -106,21 +106,21 @@ class TopicConverters:
             yield timed_chunk(f"/controller/{name}", times, plot_lines(part[name]))
 
     def _convert_cycle(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert the lateness of each tick to [us]."""
+        """Convert the lateness of each tick to a plot line [us]."""
         messages = decoded_messages(chunk)
         if messages is not None:
             late = np.asarray(messages.field("late"), np.float64) * 1e6
             yield timed_chunk("/loop/late", times_since_start(chunk, self._offset), plot_lines(late[:, None]))
 
     def _convert_tick(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert the frames of each tick to the load of each bus [%]."""
+        """Convert the CAN frames of each tick to the load of each bus [%]."""
         messages = decoded_messages(chunk)
         if messages is not None:
             load = 100 * self._load.of(messages)
             yield timed_chunk("/bus/load", times_since_start(chunk, self._offset), plot_lines(load))
 
     def _convert_state(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert a named state to a lane of the dashboard."""
+        """Convert the messages that name a state to a lane of the dashboard."""
         messages = decoded_messages(chunk)
         if messages is not None:
             names = messages.field("name").to_pylist()
@@ -129,24 +129,24 @@ class TopicConverters:
 
 
 def lines_with_band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
-    """Return plot lines (n, lines) with a band of one standard deviation.
+    """Return values (n, lines) as plot lines with a band of one standard deviation.
 
-    If the deviation is unknown, there is no band.
+    Where the standard deviation is unknown, there is no band.
     """
     measured = rr.Measurements.columns(values=values.ravel(), variances=np.nan_to_num(sigma**2).ravel())
     return measured.partition([values.shape[1]] * len(values))
 
 
 def plot_lines(values: Floats) -> rr.ComponentColumnList:
-    """Return the values as plot lines (n, lines)."""
+    """Return values (n, lines) as plot lines."""
     return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
 
 
 def force_arrows(force: Floats) -> rr.ComponentColumnList:
-    """Return the force of the object on a fingertip (n,) [N] as arrows in the frame of the tip."""
+    """Return the forces of the object on a fingertip (n,) [N] as arrows in the frame of the tip."""
     shown = np.where(force >= MIN_FORCE, force, 0.0)
     vectors = np.zeros((len(force), 3))
-    # The tip closes towards +y of its frame, and the object pushes back.
+    # The tip closes towards +y of its frame, so the object pushes it towards -y.
     vectors[:, 1] = -FORCE_SCALE * shown
     labels = [f"{value:.1f} N" if value else "" for value in shown.tolist()]
     radii = np.where(shown > 0, ARROW_RADIUS, 0.0)

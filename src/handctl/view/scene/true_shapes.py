@@ -1,4 +1,4 @@
-"""Object and table of a simulated run, at their poses in the simulator's truth file."""
+"""Object and table of a simulated run. Their poses come from the simulator's truth file."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -14,17 +14,20 @@ from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 
 POSE_PERIOD_NS = 20_000_000
-"""Interval between poses [ns], equal to that of the link transforms."""
+"""Interval between the poses [ns]. The transforms of the links have the same interval."""
 COLOURS = {"object": Colour(216, 206, 186), "table": Colour(112, 122, 134)}
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-"""Columns of the object's pose, in Rerun's order of a quaternion."""
+"""Names of the truth file's columns with the object's pose.
+
+The quaternion is in the order of Rerun.
+"""
 
 
 def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield shapes and poses of object and table, none if the run has no truth with shapes.
+    """Yield the chunks with shapes and poses of object and table. A run without a truth that has shapes yields none.
 
     Raises:
-        LogError: the truth file names an unknown shape, or lacks a column.
+        LogError: the truth file names an unknown shape or lacks a column.
     """
     if run.truth is None:
         return
@@ -48,7 +51,7 @@ def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
-    """Return a shape drawn as a solid.
+    """Return a shape of the truth file as a Rerun archetype that is drawn solid.
 
     Raises:
         LogError: the kind of shape is unknown.
@@ -66,13 +69,16 @@ def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
 
 
 def _object_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
-    """Return position [m] and quaternion x, y, z, w of the object, one row per time."""
+    """Return position [m] and quaternion x, y, z, w of the object, with one row for each time."""
     pose = truth.table([f"object/{part}" for part in POSE_COLUMNS], times)
     return pose[:, :3], pose[:, 3:]
 
 
 def _table_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
-    """Return position [m] and quaternion of the table. The table only moves down."""
+    """Return position [m] and quaternion of the table, with one row for each time.
+
+    The table only moves down.
+    """
     position = np.tile(np.array(shape["position_m"], np.float64), (len(times), 1))
     if truth.has("support"):
         position[:, 2] -= truth.at("support", times)
