@@ -59,23 +59,28 @@ NO_SENSORS: dict[str, Any] = {
 
 
 class Hand(Section):
-    """Hand as described by its file. Lists are in file order, tendons digit by digit."""
+    """Hand as its hand file describes it.
+
+    Lists are in the order of the file. Tendons are listed digit by digit.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=False)
 
     schema_: qty.SchemaNumber = Field(alias="schema")
-    """Version of the format."""
+    """Version of the format of the hand file."""
     name: qty.Name
     """Name of the hand. It names the files of calibration and gains."""
     description: qty.Text
     """One line about the hand."""
     mount: Mount
-    """Orientation of the palm."""
+    """Orientation of the palm, and its mesh."""
     bus: tuple[Bus, ...] = Field(min_length=1)
     """CAN buses."""
     sensor_node: SensorNode
-    """In a hand without sensors it has no channels, and SYNC is not sent."""
-    """Sensor node with load cells and joint encoders."""
+    """Sensor node with load cells and joint encoders.
+
+    A hand without sensors has a node without channels, and SYNC is not sent.
+    """
     stream: StreamLimits = StreamLimits()
     """Limits of targets that a client streams."""
     digit: tuple[Digit, ...] = Field(min_length=1)

@@ -31,15 +31,21 @@ class Mount(Section):
     """Orientation of the palm in the world, and its mesh."""
 
     gravity_m_s2: tuple[qty.Gravity, qty.Gravity, qty.Gravity]
-    """Gravity in the palm frame: x out of the palm, y from thumb to fingers, z along the hinges."""
+    """Gravitational acceleration in the palm frame: x out of the palm, y from thumb to fingers, z along the hinges."""
     palm_mesh: mesh.MeshFile | None = None
-    """Mesh that viewers show as the palm, see ``link_mesh``. Absent for a box."""
+    """Mesh that viewers show as the palm, see ``link_mesh``. If absent, they show a box."""
     palm_mesh_scale: mesh.MeshScale | None = None
-    """Unit of the mesh in metres, or a factor for x, y, z. 1 if absent, 0.001 for a mesh in millimetres."""
+    """Factor from the unit of the mesh to metres, or factors for x, y, z.
+
+    It is 1 if absent. A mesh in millimetres needs 0.001.
+    """
     palm_mesh_position_m: tuple[mesh.MeshPosition, mesh.MeshPosition, mesh.MeshPosition] | None = None
-    """Position of the mesh's origin in the palm frame. [0, 0, 0] if absent."""
+    """Position of the mesh's origin in the palm frame. It is [0, 0, 0] if absent."""
     palm_mesh_rpy_deg: tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle] | None = None
-    """Orientation of the mesh in the palm frame, as ``mount_rpy_deg``. [0, 0, 0] if absent."""
+    """Orientation of the mesh in the palm frame, as in ``mount_rpy_deg``.
+
+    It is [0, 0, 0] if absent.
+    """
 
 
 class Bus(Section):
@@ -53,7 +59,7 @@ class Bus(Section):
     bitrate: qty.Bitrate
     """Bit rate of a classical bus, or of the arbitration phase of CAN FD [bit/s]."""
     data_bitrate: qty.Bitrate | None = None
-    """Bit rate of CAN FD's data phase, absent for a classical bus."""
+    """Bit rate of the data phase of CAN FD. It is absent for a classical bus."""
 
 
 HANDCTL_NODE = "handctl"
@@ -83,32 +89,44 @@ class SensorNode(Section):
     ``cia404``: CANopen measuring amplifiers.
     """
     bus: qty.Name
-    """Bus of the node."""
+    """Bus of the sensor node."""
     sync_id: qty.CanId = 0x080
-    """Identifier of SYNC, required.
+    """CAN identifier of SYNC, required.
 
-    One byte with the tick counter. CiA 404: no payload, absent or 0x080.
+    The frame has one byte with the tick counter. CiA 404: the frame is empty, and the key is absent
+    or 0x080.
     """
     base_id: qty.CanId = 0x1A0
-    """First identifier of tension frames, required. Joint frames begin at ``base_id + 0x10``. CiA 404: absent.
+    """CAN identifier of the first tension frame, required.
+
+    Joint frames begin at ``base_id + 0x10``. CiA 404: the key is absent.
 
     A frame has five channels.
     """
     tendons: tuple[qty.Name, ...]
-    """Tendon of each load cell, in the order of the channels. In schema 2 also ``"all"``."""
+    """Tendon of each load cell, in the order of the channels.
+
+    In schema 2, ``"all"`` stands for all tendons.
+    """
     joints: tuple[qty.Name, ...] = ()
     """Joint of each encoder, required, in the order of the channels.
 
-    In schema 2 also ``"all"``. CiA 404: absent.
+    In schema 2, ``"all"`` stands for all joints. CiA 404: the key is absent.
     """
     joint_decimation: qty.Decimation = 1
-    """Ticks between two frames of the joint encoders, required. CiA 404: absent."""
+    """Number of ticks from one frame of the joint encoders to the next, required.
+
+    CiA 404: the key is absent.
+    """
     tension_noise_N: qty.Force
     """Standard deviation of a load-cell sample."""
     tension_bias_drift_N: qty.Force
-    """Standard deviation of a load cell's drift after 100 s, as a random walk."""
+    """Standard deviation of the drift of a load cell after 100 s.
+
+    The drift is modelled as a random walk.
+    """
     joint_noise_rad: qty.JointNoise = 1e-3
-    """Standard deviation of a joint-encoder sample, required. CiA 404: absent."""
+    """Standard deviation of a joint-encoder sample, required. CiA 404: the key is absent."""
     node_ids: tuple[qty.AmplifierId, ...] = ()
     """CiA 404: node number of each amplifier, required."""
     channels_per_node: qty.ChannelCount = 1
@@ -178,9 +196,12 @@ class StreamLimits(Section):
     With faster random targets, digits hit each other until a tendon is slack.
     """
     acceleration_deg_s2: qty.JointAcceleration = 2_500.0
-    """Largest joint acceleration. Source: a sine of 1 Hz and 20 degrees has 790 deg/s2."""
+    """Largest joint acceleration. For comparison, a sine of 1 Hz and 20 degrees has 790 deg/s2."""
     tension_rate_N_per_s: qty.TensionRate = 1000.0
-    """Largest rate of a streamed tension. Source: a grasp's answer to slip has 300 N/s."""
+    """Largest rate of a streamed tension.
+
+    For comparison, a grasp increases its tension by 300 N/s after a slip.
+    """
     hold_after_ms: qty.StaleTime = 100.0
     """Age of the latest target after which the hand holds."""
     relax_after_ms: qty.StaleTime = 1000.0
@@ -206,23 +227,29 @@ class Digit(Section):
     mount_position_m: tuple[qty.Position, qty.Position, qty.Position]
     """Position of the first joint in the palm frame: x out of the palm, y from thumb to fingers."""
     mount_on: qty.Name | None = None
-    """Digit whose last link carries this digit, such as a wrist. Absent for a digit on the palm.
+    """Digit whose last link carries this digit, such as a wrist.
+
+    The key is absent if the palm carries the digit.
 
     ``mount_position_m`` and ``mount_rpy_deg`` are then in the frame of that link.
     """
     mount_rpy_deg: tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle]
     """Roll, pitch, yaw about the fixed axes of the palm: Rz(yaw) Ry(pitch) Rx(roll)."""
     link_length_m: tuple[qty.Length, ...] = Field(min_length=1, max_length=MAX_LINKS)
-    """Distance from a link's joint to the next joint, or to the tip. 0 if the axes of two joints meet."""
-    joint_axis: tuple[tuple[qty.Direction3, qty.Direction3, qty.Direction3], ...] | None = None
-    """Axis of each hinge as a unit vector in the link's frame.
+    """Distance from the joint of a link to the next joint, or to the tip.
 
-    Absent for hinges along z, [0, 0, 1].
+    It is 0 if the axes of the two joints meet.
+    """
+    joint_axis: tuple[tuple[qty.Direction3, qty.Direction3, qty.Direction3], ...] | None = None
+    """Axis of each hinge, as a unit vector in the frame of its link.
+
+    If absent, all hinges are along z, [0, 0, 1].
     """
     joint_rpy_deg: tuple[tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle], ...] | None = None
-    """Orientation of each link's frame in the frame before it at angle zero, as ``mount_rpy_deg``.
+    """Orientation of the frame of each link in the frame before, at angle zero, as in ``mount_rpy_deg``.
 
-    The frame before the first link is that of the mount. Absent for equal orientation.
+    The frame before the first link is that of the mount. If absent, all frames have the same
+    orientation.
     """
     link_com_m: tuple[qty.CentreOfMass, ...]
     """Centre of mass in the link's frame: a distance along the link, or x, y, z."""
@@ -235,7 +262,7 @@ class Digit(Section):
     the radius of the link.
     """
     link_radius_m: qty.Radius
-    """Radius of the links, as a capsule."""
+    """Radius of the links, whose shapes are capsules."""
     joint_min_deg: tuple[qty.JointAngle, ...]
     """Open stop of each joint."""
     joint_max_deg: tuple[qty.JointAngle, ...]
@@ -249,23 +276,34 @@ class Digit(Section):
     spring_preload_rad: tuple[qty.Preload, ...]
     """Spring torque is k (q + preload), against flexion."""
     coupling: tuple[tuple[qty.Coupling, ...], ...] | None = None
-    """B of q = B theta, one row per joint, for a digit with fewer tendons than joints.
+    """Matrix B of q = B theta, with a row for each joint, for a digit with fewer tendons than joints.
 
-    Absent for independent joints.
+    If absent, the joints are independent.
     """
     joint_rated_torque_N_m: tuple[qty.PositiveTorque, ...] | None = None
-    """Torque limit of each joint with its pin and links, absent if unknown."""
-    link_mesh: tuple[mesh.MeshFile, ...] | None = None
-    """Mesh file that viewers show as each link, binary STL or OBJ, relative to the hand file. ``""`` is a capsule.
+    """Largest torque that each joint with its pin and links withstands.
 
-    Meshes have neither mass nor contacts. Absent for capsules.
+    The key is absent if it is unknown.
+    """
+    link_mesh: tuple[mesh.MeshFile, ...] | None = None
+    """Mesh file that viewers show as each link, binary STL or OBJ, relative to the hand file.
+
+    ``""`` stands for a capsule.
+
+    Meshes have neither mass nor contacts. If the key is absent, all links are shown as capsules.
     """
     link_mesh_scale: tuple[mesh.MeshScale, ...] | None = None
-    """Unit of each mesh in metres, or a factor for x, y, z. 1 if absent, 0.001 for meshes in millimetres."""
+    """Factor from the unit of each mesh to metres, or factors for x, y, z.
+
+    It is 1 if absent. Meshes in millimetres need 0.001.
+    """
     link_mesh_position_m: tuple[tuple[mesh.MeshPosition, mesh.MeshPosition, mesh.MeshPosition], ...] | None = None
-    """Position of each mesh's origin in the frame of its link. [0, 0, 0] if absent."""
+    """Position of the origin of each mesh in the frame of its link. It is [0, 0, 0] if absent."""
     link_mesh_rpy_deg: tuple[tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle], ...] | None = None
-    """Orientation of each mesh in the frame of its link, as ``mount_rpy_deg``. [0, 0, 0] if absent."""
+    """Orientation of each mesh in the frame of its link, as in ``mount_rpy_deg``.
+
+    It is [0, 0, 0] if absent.
+    """
 
     @model_validator(mode="before")
     @classmethod
@@ -293,7 +331,9 @@ class Tendon(Section):
     motor: qty.Name
     """Motor that winds the tendon."""
     moment_arm_m: dict[str, qty.MomentArm]
-    """Row of R, by joint. The tendon does not cross absent joints. Positive arms flex.
+    """Moment arm of the tendon at each joint that it crosses, which is a row of R.
+
+    Positive arms flex the joint.
 
     A tendon crosses joints of one digit, and of digits that carry it, such as a wrist.
 
@@ -314,7 +354,7 @@ class Tendon(Section):
     friction_coefficient: qty.FrictionCoefficient
     """Friction coefficient of the pulleys."""
     wrap_angle_rad: qty.Wrap
-    """Wrap between spool and first joint. The joint angles add to it."""
+    """Wrap angle between spool and first joint. The joint angles add to it."""
     rated_breaking_force_N: qty.PositiveForce
     """Breaking force of the tendon according to its data sheet."""
     tension_floor_N: qty.Force
@@ -322,14 +362,14 @@ class Tendon(Section):
     tension_max_N: qty.PositiveForce
     """Largest commanded tension."""
     tension_trip_N: qty.PositiveForce
-    """One sample above it relaxes the hand (T03)."""
+    """Tension limit: a single sample above it relaxes the hand (T03)."""
     drive_limit_N: qty.PositiveForce
-    """Limit in the drive: ``torque_max_N_m`` / ``spool_radius_m``.
+    """Tension at the torque limit in the drive: ``torque_max_N_m`` / ``spool_radius_m``.
 
-    A sample above it cuts (T03b).
+    A sample above it removes the torque at once (T03b).
     """
     pretension_N: qty.PositiveForce | None = None
-    """Tension of both tendons of a spool pair at rest. Absent for a single tendon.
+    """Tension of both tendons of a spool pair at rest. The key is absent for a single tendon.
 
     A spool pair is two antagonistic tendons on one spool with opposite winding. ``moment_arm_m``
     has the arms of the tendon that a positive motor torque winds. The arms of the other tendon have
@@ -368,9 +408,9 @@ class Motor(Section):
     torque_constant_N_m_per_A: qty.TorqueConstant
     """Torque per ampere."""
     torque_max_N_m: qty.PositiveTorque
-    """Torque limit that is written into the drive and read back."""
+    """Torque limit that handctl writes into the drive and reads back."""
     torque_peak_N_m: qty.PositiveTorque
-    """Torque that the motor can make without its limit."""
+    """Torque that the motor could make without this limit."""
     position_range_rad: qty.PositionRange
     """Largest absolute position that the drive's frames can represent."""
     velocity_range_rad_s: qty.SpeedRange
@@ -384,7 +424,10 @@ class Motor(Section):
     options: qty.Options = Field(default_factory=dict)
     """Options of the protocol, such as ``reply_id``."""
     control: qty.MotorControl | None = None
-    """``position`` if the drive closes the position loop of a motion. Absent for ``torque``."""
+    """``position`` if the drive closes the position loop of a motion.
+
+    If absent, the mode is ``torque``.
+    """
     kp_N_m_per_rad: qty.ServoStiffness | None = None
     """Stiffness of the drive's position loop.
 
