@@ -230,7 +230,7 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, rows=("T05b",)),
     MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, rows=("T06",), stages=ALL_STAGES),
     MatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, rows=("T06", "T01"), stages=ALL_STAGES),
-    MatrixRow("T08", "offset joint={joint} size=0.4", RELAX, 8, 400.0, ("T08", "N06", "N05")),
+    MatrixRow("T08", "offset joint={joint} size=0.5", RELAX, 8, 400.0, ("T08", "N06", "N05")),
     MatrixRow("H01", HOST_PREFIX + "late 0.4", Action.PASS, 1, rows=("H01",)),
     MatrixRow("H02", HOST_PREFIX + "skip 1", WARN, 1, rows=("H02",)),
     MatrixRow("H03", HOST_PREFIX + "skip 14", RELAX, 1, rows=("H03",)),
