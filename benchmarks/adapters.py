@@ -21,7 +21,7 @@ from handctl.cli.runs import demo
 
 
 class Outcome(NamedTuple):
-    """Outcome of a run: whether the rate is possible, tracking error [deg], tension error [N], and the end."""
+    """Outcome of a run: whether the rate is possible, tracking error [deg], tension error [N], and cause of the end."""
 
     held: bool
     tracking_deg: float

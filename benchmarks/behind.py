@@ -25,7 +25,7 @@ CLOCK_READS = 10_000
 
 
 def main() -> None:
-    """Measure all cases and print the results."""
+    """Measure all cases of hand, protocol and scene, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="shorter runs")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -69,7 +69,7 @@ def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
 
 
 def clock_s() -> float:
-    """Measure the time of two readings of the clock [s]."""
+    """Measure the time that two readings of the clock take [s]."""
     now = time.process_time
     return min(-(now() - now()) for _ in range(CLOCK_READS))
 

@@ -49,10 +49,10 @@ def main() -> None:
 
 
 def use_one_core() -> str:
-    """Run all alternatives on one core, with real-time priority if allowed. Return a description of both.
+    """Run all alternatives on one core, with real-time priority if allowed. Return a description of core and priority.
 
-    In user-mode Linux, the kernel and the programs are processes of the host. On two cores they
-    would wait for each other.
+    In user-mode Linux, the kernel and the programs are processes of the host. On two cores the
+    processes would wait for each other.
     """
     if sys.platform != "linux":
         return "any core, ordinary priority"
@@ -66,7 +66,7 @@ def use_one_core() -> str:
 
 
 def measure_both_buses(ticks: int) -> dict:
-    """Measure both buses. For an unavailable bus, the result has the reason instead of numbers."""
+    """Measure the exchange on both buses. For an unavailable bus, the result has the reason instead of numbers."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         os.environ["HANDCTL_RUN_DIR"] = short
         floor = compile_reference(Path(short))
@@ -75,7 +75,7 @@ def measure_both_buses(ticks: int) -> dict:
 
 
 def compile_reference(folder: Path) -> str:
-    """Compile the C program and return its path. Return an empty string without a compiler."""
+    """Compile the C program and return its path. Return an empty string if there is no compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
@@ -101,7 +101,7 @@ def measure_vcan(floor: str, ticks: int) -> dict:
 def measure(medium: str, floor: str, ticks: int) -> dict:
     """Measure wall and CPU time of each alternative [us], by number of motors.
 
-    For a missing alternative the result has the reason.
+    For an alternative that cannot run, the result has the reason.
 
     Each round measures all alternatives, because other work on the machine disturbs some rounds more than others. The
     result is the wall time of the fastest round. The CPU time is the mean of all rounds, because user-mode Linux counts
@@ -118,7 +118,7 @@ def measure(medium: str, floor: str, ticks: int) -> dict:
 
 
 def combine_rounds(rows: list[dict]) -> dict:
-    """Combine the rounds of one alternative into a row."""
+    """Combine the rounds of one alternative into a row: shortest wall time, and mean CPU time."""
     if "skipped" in rows[0]:
         return rows[0]
     wall, used = ([row[key] for row in rows] for key in ("wall_us", "cpu_us"))
@@ -126,7 +126,7 @@ def combine_rounds(rows: list[dict]) -> dict:
 
 
 def measure_round(medium: str, floor: str, motors: int, ticks: int):
-    """Yield name and times of each alternative, one after the other."""
+    """Yield the name and the times of one alternative after another."""
     sys.path.insert(0, str(HERE))
     from exchange.clients import CLIENTS
     from exchange.media import MEDIA, motors_on
@@ -148,14 +148,14 @@ def measure_round(medium: str, floor: str, motors: int, ticks: int):
 
 
 def measure_c_program(floor: str, medium: str, channel: str, motors: int, ticks: int) -> dict:
-    """Measure the C program."""
+    """Measure the C program on a bus: wall time and CPU time of a tick [us]."""
     words = [floor, medium, channel, str(motors), str(ticks)]
     out = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
     return {"wall_us": int(out[0]) / 1e3, "cpu_us": int(out[1]) / 1e3}
 
 
 def measure_client(client, peer, motors: int, ticks: int) -> dict:
-    """Measure sending and receiving of a tick [us]: median wall time and mean CPU time, without garbage collection."""
+    """Measure sending and receiving in a tick [us]: median wall time and mean CPU time, without garbage collection."""
     torques = [0.01 * i for i in range(motors)]
 
     def measure_ticks(clock, count: int) -> list[int]:
@@ -187,7 +187,7 @@ def measure_client(client, peer, motors: int, ticks: int) -> dict:
 
 
 def add_ratios(rows: dict) -> dict:
-    """Add to each row its ratio to the C programs and its speed-up over python-can."""
+    """Add to each row the ratios of its wall time to both C programs, and its speed-up over python-can."""
     reference = rows[REFERENCE]
     for row in rows.values():
         if "skipped" not in row:

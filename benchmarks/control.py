@@ -13,7 +13,8 @@ if __name__ == "__main__":
 
     main()
 else:
-    # Python searches the folder of this file first, so that ``import control`` would find this file.
+    # Python searches the folder of this file first. Then ``import control`` would find this file
+    # instead of the package ``control``.
     sys.path = [place for place in sys.path if Path(place).resolve() != Path(__file__).parent] + [
         str(Path(__file__).parent)
     ]

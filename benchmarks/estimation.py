@@ -7,7 +7,7 @@ and of firmware_sim: capstan and motor friction, tendon damping, current loop, e
 resolution, noise, drift, one period of bus delay. The factors below change the parameters of the
 plant, and the controller does not use these factors.
 
-A sample is one control period old when the filter receives it. Filter and raw load cell are
+A sample is one control period old when the filter receives it. The filter and the raw load cell are
 compared with the true tension at two instants: at the time of the sample, and at present. The
 control loop uses the estimate for the present.
 """
@@ -81,7 +81,7 @@ RATIO_COLUMNS = (
 
 
 def trials(hand: str, plant: str, seed: int) -> list[Trial]:
-    """Return the trials of one seed."""
+    """Return the trials of a hand on a plant with one seed."""
     if hand == "jamia_bench":
         return [Trial(hand, _task(STRONG_GRASP), seed, SCENE, TRIED_PLANTS[plant])]
     free = Trial(hand + CLEAR_SUFFIX, MOVES, seed, None, TRIED_PLANTS[plant])
@@ -93,7 +93,7 @@ def _task(content: dict) -> TaskProgram:
 
 
 def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
-    """Sum over one seed, for each regime, the samples and squared errors of each estimator and of the reference."""
+    """Sum the squared errors of each estimator and of the reference over the trials of one seed, for each regime."""
     sums: dict[str, dict[str, list[float]]] = {}
     for trial in trials(*job):
         record = run(trial)
@@ -108,14 +108,18 @@ def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
 
 
 def _summed(values: np.ndarray, mask: np.ndarray) -> list[float]:
-    """Return [sum, count] over the ticks of a regime."""
+    """Return sum and number of the values in the ticks of a regime that are not NaN."""
     values_in_regime = values[mask]
     values_in_regime = values_in_regime[~np.isnan(values_in_regime)]
     return [float(values_in_regime.sum()), float(len(values_in_regime))]
 
 
 def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
-    """Return squared errors of each estimator and variance of the reference (ticks, N) [N^2], NIS, innovations."""
+    """Return the squared quantities of a regime, each (ticks, N).
+
+    These are squared errors of each estimator and variance of the reference [N^2], NIS, and
+    innovations.
+    """
     numbers = record.numbers
     period_ns = int(record.t_ns[1] - record.t_ns[0])
     real = record.tension()
@@ -142,14 +146,18 @@ def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
 
 @cache
 def _limits(hand: str, is_held: bool) -> np.ndarray:
-    """Return the standard deviation of the reference (N, 2), at the last sample and at present [N]."""
+    """Return the standard deviations of the reference at the last sample and at present (N, 2) [N]."""
     name = hand.removesuffix(CLEAR_SUFFIX)
     model = HandModel.of(hand_by_name(name), Gains(), RATES_HZ[name])
     return np.array([limit(model, i, is_held) for i in range(model.tendon_count)])
 
 
 def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
-    """Tabulate by regime the RMSE of each estimator [N] with its spread over the seeds, ratios, NIS, whiteness."""
+    """Tabulate the figures of each regime.
+
+    The figures are the RMSE of each estimator [N], the spread of the RMSE of the estimate over the
+    seeds, ratios of RMSEs, NIS, and whiteness.
+    """
     table = {}
     for regime in REGIMES:
         seeds = [_means_of_quantities(sums[regime]) for sums in results if regime in sums]
@@ -176,12 +184,15 @@ def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
 
 
 def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
-    """Return the mean of each quantity, from [sum, count, sum, count, ..]."""
+    """Return the mean of each quantity, which is given as [sum, count, sum, count, ..]."""
     return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
 
 
 def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict:
-    """Measure all tables. ``seeds`` is the number of seeds that the plan had time for."""
+    """Measure all tables.
+
+    In the result, ``seeds`` gives the number of seeds of each case that the plan had time for.
+    """
     cases = [(hand, plant) for plant in plants for hand in HANDS]
     cases.insert(len(HANDS), ("jamia_bench", "as known"))
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]

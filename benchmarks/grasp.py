@@ -20,11 +20,11 @@ QUICK = (1,)
 DEFAULT = (1, 6, 8, 11, 16)
 """Numbers of the objects in a quick run and in a usual run."""
 STRETCH_S = 30.0
-"""Time of free motion in one run [s]."""
+"""Simulated time of a run of free motion [s]."""
 
 
 def main() -> None:
-    """Measure all parts and print the results."""
+    """Measure the selected parts of the benchmark and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="one object, 0.1 minutes of free motion (less than a minute)"
@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
-    """Measure all requested parts."""
+    """Measure the parts of the benchmark that the options select."""
     parts = args.parts.split(",")
     seeds = range(args.seeds)
     hands = HANDS[:1] if args.quick else HANDS
@@ -86,7 +86,10 @@ def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
 
 
 def _contacts(hands: tuple[str, ...], walls: int, minutes: float, plan: Plan) -> list[dict[str, Any]]:
-    """Measure contacts with walls and false contacts in free motion, for each hand. The free hand also rests."""
+    """Measure contacts with walls and false contacts in free motion, for each hand.
+
+    In a run of free motion the digits also rest, and only the time in which they move counts.
+    """
     results = collect(contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan)
     stretch = min(STRETCH_S, 60.0 * minutes)
     count = max(1, round(60.0 * minutes / stretch / contact.MOVING_FRACTION))
@@ -98,7 +101,7 @@ def _contacts(hands: tuple[str, ...], walls: int, minutes: float, plan: Plan) ->
 
 
 def _contact(hand: str, walls: list[list[float]], rows: list[dict[str, float]]) -> dict[str, Any]:
-    """Summarise latencies and false alarms of one hand."""
+    """Summarise the latencies of contact events and the false alarms of one hand."""
     latency = np.array([value for values in walls for value in values])
     if not len(latency) or not rows:
         return {"hand": hand, "contacts": 0}

@@ -2,9 +2,9 @@
 
 ``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright:
 gravity points along the hinges and has no torque about them. In this benchmark the hands lie on
-their side, and their fingertips are ten times as heavy. Two pairs of control laws, which differ
-only in gravity compensation, move every digit as in the tracking benchmark and with the same
-weights.
+their side, and their fingertips are ten times as heavy. There are two pairs of control laws. The
+laws of a pair differ only in gravity compensation. They move every digit as in the tracking
+benchmark, with the same weights.
 """
 
 import argparse
@@ -19,13 +19,13 @@ from trials.laws import GRAVITY_LAWS
 from trials.lockstep import RATES_HZ, Trial, run
 
 WEIGHTS_OF = dict(zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True))
-"""Control law of the tracking benchmark whose weights (with margins) each control law of this benchmark uses."""
+"""For each control law of this benchmark, the law of the tracking benchmark whose weights (with margins) it uses."""
 SPEEDS = ("slow", "fast")
 FIGURES = {"rmse_deg": "RMSE", "steady_deg": "steady"}
 
 
 def work(job: tuple) -> dict[str, dict[str, float]]:
-    """Run one trial and return its figures by speed. NaN for a motion that did not end."""
+    """Run one trial and return its figures by speed. If the trial ended early, all figures are NaN."""
     hand, law, seed = job
     gains = GRAVITY_LAWS[law].gains(*tracking.tuned(hand, WEIGHTS_OF[law], careful=True), RATES_HZ[hand])
     trial = Trial(hand + SIDE_SUFFIX, tracking.moves(SPEEDS), seed, None, None, gains, change=GRAVITY_LAWS[law].change)
@@ -85,7 +85,7 @@ All numbers are means over the seeds, with their spread.
 
 
 def _description(result: dict) -> str:
-    """Describe the benefit of gravity compensation by hand, pair of laws and speed."""
+    """Describe the benefit of gravity compensation for each hand, pair of laws and speed."""
     parts = []
     for hand, laws in result.items():
         names = list(laws)

@@ -32,7 +32,10 @@ PROCESSES = 2
 
 
 class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """Environment with the rigid bodies only. An action has joint torques, an observation has angles and rates."""
+    """Environment with only the rigid bodies.
+
+    An action has joint torques, and an observation has joint angles and rates.
+    """
 
     def __init__(self, hand: str, scene: str | None, step_s: float) -> None:
         """Build the model."""
@@ -50,7 +53,7 @@ class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._observation(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Apply the torques until the next action."""
+        """Apply the torques of an action until the next action."""
         self.engine.applied[:] = TORQUE_N_M * action
         mujoco.mj_step(self.engine._model, self.engine._data, nstep=self.count)
         return self._observation(), 0.0, False, False, {}
@@ -71,7 +74,7 @@ def main() -> None:
 
 
 def measured(hand: str, name: str, steps: int) -> dict[str, Any]:
-    """Measure one environment of one hand."""
+    """Measure handctl and the MuJoCo environment for one hand."""
     options = {"hand": hand, **({"diameter_mm": (33.0, 33.0)} if name == "Grasp" else {"span": (0.0, 0.05)})}
     kind = f"handctl/{name}-v0"
     env = gymnasium.make(kind, **options)
@@ -101,7 +104,7 @@ def action_of(space: gymnasium.spaces.Box, rng: np.random.Generator) -> np.ndarr
 
 
 def steps_s(env: gymnasium.Env, steps: int) -> float:
-    """Return the CPU time of a step, excluding resets [s]."""
+    """Return the CPU time of a step without the time of resets [s]."""
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     took = 0.0
@@ -126,7 +129,7 @@ def reset_s(env: gymnasium.Env) -> float:
 
 
 def vector_rate(vector: AsyncVectorEnv, steps: int) -> float:
-    """Return the steps of all processes per second of wall time, resets included."""
+    """Return the steps of all processes per second of wall time, including the time of resets."""
     rng = np.random.default_rng(0)
     vector.reset(seed=0)
     begin = time.monotonic()

@@ -1,8 +1,8 @@
 """Faults that are hard to detect: the reported faults, the delay of the detection, and the largest true tension.
 
-Each fault is injected into the first finger of a hand in lockstep: in free motion, in a hold at 24
-N, while the tension rises, or in a hold at 90 N. If the controller does not react within 2 s, the
-benchmark stops the run, as an operator would.
+Each fault is injected into the first finger of a hand in lockstep. The stage is free motion, a hold
+at 24 N, the rise of the tension, or a hold at 90 N. If the controller does not react within 2 s,
+the benchmark stops the run, as an operator would.
 
     python benchmarks/hidden.py --hand jamia --protocol mit --seeds 20
 """
@@ -26,7 +26,7 @@ from handctl.session.simulate import Simulation
 FAULT_S = 2.0
 """Time from the fault until the operator stops the run [s]."""
 STOPPED_S = 1.5
-"""Time from the stop to the end of the run [s]."""
+"""Time from the stop by the operator to the end of the run [s]."""
 STOP = '{"do": "stop"}'
 HOLD_N = 90.0
 FAST_RISE_N_PER_S = 60.0
@@ -60,7 +60,7 @@ FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 
 
 def task() -> dict[str, Any]:
-    """Return the task of the campaign with a slow rise to a hold at 90 N at its end."""
+    """Return the task of the campaign, with an added phase in which the tension rises to 90 N and stays there."""
     other = copy.deepcopy(TASK)
     hold = other["phase"][-1]
     hold["duration_s"] = 1.5
@@ -70,7 +70,7 @@ def task() -> dict[str, Any]:
 
 
 def is_at_stage(stage: str, out: Any, first: int) -> bool:
-    """Return True if a run has is_at_stage a stage. ``first``: number of ticks in the free phase."""
+    """Return True if a run is at a stage. ``first`` is the number of ticks that the free phase has lasted."""
     tension = float(out.telemetry.tension.max())
     if stage == FREE:
         return bool(out.phase == "free" and first > 100)
@@ -80,7 +80,11 @@ def is_at_stage(stage: str, out: Any, first: int) -> bool:
 
 
 def run_with_fault(simulation: Simulation, text: str) -> dict[str, Any]:
-    """Inject a fault and run to the end. Return the detected rows, the delay [ms] and the largest true tension [N]."""
+    """Inject a fault and run to the end.
+
+    The result has the identifiers of the reported faults, the delay of the reaction [ms], and the
+    largest true tension [N].
+    """
     simulation.peer.inject(text)
     start = simulation.k
     detected = []
@@ -106,7 +110,10 @@ def run_with_fault(simulation: Simulation, text: str) -> dict[str, Any]:
 
 
 def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Iterator[dict[str, Any]]:
-    """Yield a row for every fault in every stage of one run. Each fault is injected in a copy of this process."""
+    """Yield a row for every fault in every stage of one run.
+
+    Each fault is injected in a forked copy of this process.
+    """
     hand = hand_with_protocol(hand_name, protocol)
     rate = highest_rate_of_buses(bus_loads(hand))
     motor = hand.motor[0]
@@ -135,7 +142,7 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
 
 
 def table(results: list[dict[str, Any]]) -> str:
-    """Tabulate relaxed runs, reported faults, latest reaction and largest true tension by fault and stage."""
+    """Tabulate relaxed runs, reported faults, latest reaction and largest true tension for each fault and stage."""
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
     for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in results):

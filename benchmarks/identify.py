@@ -1,8 +1,9 @@
 """Accuracy of ``handctl identify`` on simulated hands that differ from their file: error and coverage.
 
 Each seed gives a random hand. The parameters of this hand differ by up to 30 % from the hand file,
-and its gains by up to a factor of 3. A hand whose tendons return its digits has the packaged gains,
-with spool pairs a smaller authority, and moment arms that differ by up to 10 %.
+and its gains by up to a factor of 3. A hand whose tendons return its digits has its packaged gains,
+and its moment arms differ by up to 10 %. The packaged gains of a hand with spool pairs have a
+smaller authority.
 
 One digit of the hand is moved in lockstep, and its parameters are fitted to the log. The true
 parameters are used only to calculate the errors.
@@ -48,26 +49,26 @@ TOLERANCES = {
     "motor_coulomb": 0.15, "motor_viscous": 0.15, "capstan": 0.15, "torque_gain": 0.05,
     "moment_arm": 0.01, "pretension": 0.15,
 }  # fmt: skip
-"""Parameters whose error is calculated, and the required accuracy of each."""
+"""Required accuracy of each identified parameter, as a fraction of the true value."""
 DETUNABLE = ("motion.position_error_m", "motion.speed_error_m_s", "motion.force_N", "tension.tension_error_N",
              "tension.speed_error_m_s", "tension.force_N", "tension.integral_per_s")  # fmt: skip
 
 
 def gains_for(hand: Hand, digit: str, seed: int) -> Gains:
-    """Return the gains with which a digit is moved: detuned gains with springs, packaged gains without springs."""
+    """Return the gains with which a digit is moved: detuned gains if it has springs, otherwise the packaged gains."""
     packaged = packaged_gains(hand.name)
     return draw_gains(packaged, seed) if is_sprung(hand, digit) else packaged
 
 
 def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
-    """Draw factors on the parameters of a plant, without springs also a factor on the moment arms."""
+    """Draw factors on the parameters of a plant. For digits without springs, also draw a factor on the moment arms."""
     chance = random.Random(f"plant {seed}")
     factors = {key: chance.uniform(1.0 - MAX_PARAMETER_ERROR, 1.0 + MAX_PARAMETER_ERROR) for key in DRAWN_PARAMETERS}
     return factors if sprung else factors | {"moment_arm": chance.uniform(1.0 - MAX_ARM_ERROR, 1.0 + MAX_ARM_ERROR)}
 
 
 def draw_gains(packaged: Gains, seed: int) -> Gains:
-    """Draw gains that are wrong by up to a factor of 3."""
+    """Draw gains that differ from the packaged gains by up to a factor of 3."""
     chance = random.Random(f"gains {seed}")
     values = {}
     for key in DETUNABLE:
@@ -77,10 +78,10 @@ def draw_gains(packaged: Gains, seed: int) -> Gains:
 
 
 def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float]:
-    """Return the true values of the identified parameters."""
+    """Return the true values of the parameters that the identification of a tendon estimates."""
     known = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
-    # Without load cells the commanded torque is the unit of all forces.
+    # Without load cells all forces are identified in units of the commanded torque.
     unit = 1.0 if known.pretension_N is None else factors["torque_constant"]
     values = {
         "tendon_stiffness": known.stiffness_N_per_m * factors["stiffness"] / unit,
@@ -93,7 +94,7 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
         values["torque_gain"] = factors["torque_constant"]
     else:
         values["pretension"] = known.pretension_N / unit
-    # Without springs the moment arms are identified instead of the springs.
+    # In digits without springs, the moment arms are identified instead of the springs.
     name = "moment_arm" if "moment_arm" in factors else "spring_stiffness"
     return values | {name: factors["moment_arm" if "moment_arm" in factors else "spring"]}
 
@@ -101,7 +102,7 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
 def excite_and_fit(
     hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
 ) -> tuple[dict[str, TendonResult], Row]:
-    """Move one digit of a simulated hand and fit its parameters. Return the fit, and its cost or its failure.
+    """Move one digit of a simulated hand and fit its parameters. Return the fit, and the CPU time or the failure.
 
     Args:
         hand_name: name of a packaged hand or path of a hand file, for controller and plant.
@@ -131,7 +132,10 @@ def excite_and_fit(
 
 
 def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
-    """Move and fit one digit of one hand. Return error and coverage of every parameter, or the reason of a failure."""
+    """Move and fit one digit of a random hand.
+
+    Return error and coverage of every parameter, or the reason of a failure.
+    """
     hand = load_hand(hand_name)
     sprung = is_sprung(hand, digit)
     factors = draw_plant(seed, sprung)
@@ -150,7 +154,7 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
 
 
 def compare_parameter(name: str, tendon: str, real: float, result: TendonResult) -> Row:
-    """Compare one parameter with the truth. Widths and error are fractions of the true value."""
+    """Compare one parameter with its true value. Error and half widths are fractions of the true value."""
     identified = name in result.identifiability.names
     error = result.fit.values[name] / real - 1.0
     width = result.fit.half_widths[name] / real
@@ -169,7 +173,7 @@ def compare_parameter(name: str, tendon: str, real: float, result: TendonResult)
 
 
 def summary(rows: list[Row]) -> Row:
-    """Summarise every parameter: accurate runs, runs whose interval has the true value, and errors."""
+    """Summarise every parameter: accurate fits, intervals that contain the true value, and errors."""
     good = [row["parameters"] for row in rows if "failure" not in row]
     result: Row = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row], "parameters": {}}
     result["refused"] = [row["seed"] for row in rows if row.get("refused")]
@@ -195,7 +199,7 @@ def summary(rows: list[Row]) -> Row:
 
 
 def collect_rows(args: argparse.Namespace) -> list[Row]:
-    """Return the rows of all requested seeds. Rows that are already in the file are not computed again."""
+    """Return the rows of all requested seeds. Rows that are already in the file of results are not computed again."""
     rows = [json.loads(line) for line in args.into.read_text().splitlines()] if args.into and args.into.exists() else []
     done = {row["seed"] for row in rows}
     digits = load_hand(args.hand).digit_names
@@ -213,7 +217,7 @@ def collect_rows(args: argparse.Namespace) -> list[Row]:
 
 
 def main() -> int:
-    """Run the seeds and print a table or JSON."""
+    """Run all requested seeds, and print the summary as a table or as JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
     parser.add_argument("--seeds", type=int, default=4, help="number of random hands (default: 4)")

@@ -1,10 +1,10 @@
 """Speed of the whole stack in lockstep, compared with ``mj_step`` alone for the same motion, and a profile.
 
-``python benchmarks/lockstep.py [--quick] [--json]``. A first run records the forces on the joints
-in each step. ``mj_step`` alone then repeats these forces, and must end at the same positions, to
-the bit. Several runs are timed, and one runs under the profiler. All runs are bit-identical.
-The benchmark uses the shortest time of each tick and of each step, which is the time without other
-load on the core and its caches.
+``python benchmarks/lockstep.py [--quick] [--json]``. A first run of the whole stack records the
+forces on the joints in each step. ``mj_step`` alone then repeats these forces, and must end at the
+same positions, to the bit. Several runs are timed, and one runs under the profiler. All runs are
+bit-identical. The benchmark uses the shortest time of each tick and of each step, which is the time
+without other load on the core and its caches.
 """
 
 import argparse
@@ -23,12 +23,14 @@ PASSES = 4
 
 
 class Rollout(NamedTuple):
-    """Forces on the bodies in each step, and the positions at the end.
+    """Forces on the bodies in each step of a run, and the positions at its end.
 
     Attributes:
-        torque: (steps, joints) [N m]. damping: (steps, tendons) [N s/m]. table: (steps, bodies, 3) [m].
-        end: (joints,) [rad].
-        contacts: mean number of contacts.
+        torque: (steps, joints) torque that tendons apply to each joint [N m].
+        damping: (steps, tendons) damping of each tendon [N s/m].
+        table: (steps, bodies, 3) position of the table [m].
+        end: (joints,) joint angles after the last step [rad].
+        contacts: mean number of contacts in a step.
     """
 
     torque: np.ndarray
@@ -77,7 +79,7 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
 
 
 def sum_of_shortest(runs: Iterable[list[float]]) -> float:
-    """Return the sum over all ticks or steps of the shortest time among the runs [s]."""
+    """Return the sum over all ticks or steps, each with its shortest time among the runs [s]."""
     return sum(map(min, zip(*runs, strict=True)))
 
 
@@ -103,7 +105,7 @@ def record_rollout(stack: Stack, seconds: float) -> Rollout:
 
 
 def repeat_rollout(stack: Stack, rollout: Rollout) -> list[float]:
-    """Repeat the motion with MuJoCo alone. Return the CPU time of each step [s].
+    """Repeat a recorded motion with MuJoCo alone. Return the CPU time of each step [s].
 
     Raises:
         RuntimeError: the repeated motion differs from the recorded motion.

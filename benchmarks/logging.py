@@ -1,8 +1,8 @@
 """Comparison of the log writer of handctl with mcap-ros2-support, rosbags, JSON and the Foxglove SDK.
 
 ``python benchmarks/logging.py [--quick] [--json]``. Each library writes the same messages of a run
-of the hand jamia11 at 1 kHz, including the raw frames. Compare only ratios within one run. handctl
-passes a record to another process, and the other libraries write in the control loop.
+of the hand jamia11 at 1 kHz. The messages include the raw frames. Compare only ratios within one
+run. handctl passes a record to another process, and the other libraries write in the control loop.
 """
 
 import sys

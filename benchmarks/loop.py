@@ -1,7 +1,7 @@
 """Comparison of the control loop with a hand-written loop: lateness, and highest rate with 4 and 11 motors.
 
 ``python benchmarks/loop.py [--quick] [--json]``. Both loops run on the same bus with the same
-process of simulated drives, which has no plant. Compare only ratios within one run.
+process of simulated drives. This process has no plant. Compare only ratios within one run.
 """
 
 import argparse
@@ -19,7 +19,7 @@ import numpy as np
 LATENESS_HZ = 500.0
 MAX_MISSED = 0.01
 STEP = 0.85
-"""Factor from a rate that is too high to the next lower rate."""
+"""Ratio of the next rate to a rate that was too high, in the search for the highest rate."""
 
 
 def main() -> None:
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def measure(seconds: float, quick: bool) -> dict:
-    """Measure all numbers."""
+    """Measure lateness, behaviour at fixed rates and highest rate, with 4 and 11 motors."""
     result: dict = {"motors": {}}
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
         with peer(hand) as bus:
@@ -73,14 +73,17 @@ def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick
 
 
 def ratio(rates: dict, name: str) -> float | None:
-    """Return the ratio of handctl to the hand-written loop. None if all rates were too high for one of the loops."""
+    """Return the ratio of handctl to the hand-written loop.
+
+    If all rates were too high for one of the loops, the result is None.
+    """
     ours = rates["ours"][name]
     baseline = rates["usual"][name]
     return ours / baseline if ours and baseline else None
 
 
 def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> dict:
-    """Run one measurement in a separate process."""
+    """Run one measurement in a separate process and return its result."""
     words = ["--one", which, hand, bus, str(seconds), str(rate_hz)]
     out = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, timeout=120)
     if out.returncode:
@@ -89,7 +92,7 @@ def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> di
 
 
 def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
-    """Run one measurement in this process, for ``child``."""
+    """Run one measurement in this process, which ``child`` has started."""
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if which == "bare":
@@ -111,15 +114,15 @@ def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
 
 
 def marks(times_ns: list[int]) -> dict:
-    """Return percentiles [us]."""
+    """Return percentiles of times [us]."""
     percentiles = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
     return dict(zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in percentiles), strict=True))
 
 
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure the lateness of the clock of the loop.
+    """Measure the lateness of the controller's clock, without the work of a tick.
 
-    This clock sleeps, and spins with real-time priority.
+    This clock sleeps until shortly before a deadline. With real-time priority it then spins.
     """
     from handctl.runtime.clocks.priority import take_priority
     from handctl.runtime.clocks.real import RealClock
@@ -137,7 +140,7 @@ def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
 
 @contextmanager
 def both_cores_loaded():
-    """Run two processes that compute."""
+    """Keep two cores busy with two processes that compute without pause."""
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
     try:
         yield
@@ -148,7 +151,7 @@ def both_cores_loaded():
 
 
 def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure the lateness of a sleep until absolute deadlines, without work and with the priority of the loop."""
+    """Measure the lateness of sleeping until absolute deadlines, without work and with the priority of the loop."""
     from handctl.runtime.clocks.priority import take_priority
 
     take_priority()

@@ -26,21 +26,21 @@ ANY_SPEED_DEG_S = 1e6
 With this value only the controller limits the rate.
 """
 WALK_STEP = 0.125
-"""Standard deviation of a step of the random walk, as a fraction of the range."""
+"""Standard deviation of a step of the random walk, as a fraction of the range of a joint."""
 
 
 def draw_action(random: np.random.Generator, last: Array, step: int) -> Array:
-    """Return a new random action."""
+    """Return a random action that does not depend on the last one."""
     return random.uniform(-1.0, 1.0, len(last))
 
 
 def draw_or_keep_action(random: np.random.Generator, last: Array, step: int) -> Array:
-    """Return a random action that holds for some targets."""
+    """Return the last action, or at random moments a new random action."""
     return random.uniform(-1.0, 1.0, len(last)) if step == 0 or random.random() < 1.0 / 17.0 else last
 
 
 def take_random_step(random: np.random.Generator, last: Array, step: int) -> Array:
-    """Return the next action of a random walk."""
+    """Return the next action of a random walk from the last action."""
     return np.clip(last + random.normal(0.0, 2.0 * WALK_STEP, len(last)), -1.0, 1.0)
 
 
@@ -77,7 +77,7 @@ def run(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
 
 
 def main() -> None:
-    """Run all combinations, and print a row per hand."""
+    """Run all combinations of hand, kind of targets and seed, and print a row per hand."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hands", nargs="*", default=list(packaged_hands()), help="packaged hands (default: all)")
     parser.add_argument(

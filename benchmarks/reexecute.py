@@ -22,7 +22,7 @@ GOLDEN = Path(__file__).resolve().parent.parent / "logs" / "golden"
 
 
 def main() -> None:
-    """Measure all logs and print the results."""
+    """Measure the re-execution of all logs and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "logs", nargs="*", type=Path, metavar="LOG", help="logs to execute (default: those in logs/golden)"
@@ -36,10 +36,10 @@ def main() -> None:
 
 
 def measure(path: Path, passes: int) -> dict:
-    """Measure one log."""
+    """Measure the re-execution of one log."""
     with RunLog(path) as log:
         controller = rebuild_controller(log)
-        gc.disable()  # The loop of a run also disables the garbage collector.
+        gc.disable()  # The control loop of a run disables the garbage collector too.
         runs = [once(log, controller) for _ in range(passes)]
         gc.enable()
         ticks = len(log)
@@ -56,11 +56,15 @@ def measure(path: Path, passes: int) -> dict:
 
 
 def once(log: RunLog, controller: Controller) -> dict:
-    """Re-execute once. Return the CPU time of reading, each tick and comparing [s], and the number of equal ticks."""
+    """Re-execute a log once.
+
+    The result has the CPU times [s] of reading, of each tick, and of comparing, and the number of
+    ticks with equal outputs.
+    """
     cpu = time.process_time
     began = cpu()
     for _ in zip(log.ticks(), log.packed(), strict=True):
-        pass  # As in a re-execution, the outputs are not kept.
+        pass  # The outputs are not kept, as in a re-execution.
     read = cpu() - began
     logged = list(zip(log.ticks(), log.packed(), strict=True))
     state = controller.initial()
@@ -77,7 +81,7 @@ def once(log: RunLog, controller: Controller) -> dict:
 
 
 def show(result: dict) -> None:
-    """Print one result as text."""
+    """Print the results as text."""
     for name, row in result.items():
         parts = ", ".join(f"{stage} {us:.1f}" for stage, us in row["us_a_tick"].items())
         print(f"{name}: {row['times_real_time']:.1f} times real time, {row['equal']} of {row['ticks']} ticks equal")

@@ -19,13 +19,13 @@ from handctl.cli.main import main as handctl
 from handctl.hand.load import packaged_hands
 
 LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
-"""A run has passed if it had no failure, missed tick or lost frame, and its figures are below these limits."""
+"""Limits of the figures. A run has passed if they hold, and if it had no failure, missed tick or lost frame."""
 Case = tuple[str, str, int]
-"""Hand, protocol, seed."""
+"""Hand, protocol and seed of a run."""
 
 
 def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
-    """Run one demo and return its figures, with the reason if it has not passed."""
+    """Run one demo and return its figures. If the run has not passed, the figures include the reason."""
     out = io.StringIO()
     err = io.StringIO()
     with tempfile.TemporaryDirectory(prefix="handctl-seeds-") as folder:
@@ -55,7 +55,7 @@ def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
 
 
 def table(results: list[dict[str, Any]]) -> str:
-    """Make a Markdown table with a row per hand and protocol, and add a line for each run that has not passed."""
+    """Make a Markdown table with a row per hand and protocol, and a line for each run that has not passed."""
     rows = [
         "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",
         "|---|---|---|---|---|---|",
@@ -72,7 +72,7 @@ def table(results: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Run the cases that have no result yet, and write the table."""
+    """Run the cases that have no result in the file yet, and write the table."""
     parser = argparse.ArgumentParser(description="the demo over many seeds")
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="number of seeds (default: 20)")
     parser.add_argument(

@@ -2,7 +2,7 @@
 
 ``python benchmarks/sensing.py [--json] [--seeds N] [--page]``. Each run is the grasp of a cylinder
 in the demo, in lockstep with the simulated hand: move, close until contact, hold while the table
-sinks, release, open. The sensors are removed from the hand file of the controller, and the plant is
+sinks, release, open. The sensors are removed from the hand file of the controller. The plant stays
 the same. ``--page`` writes docs/evidence/control-sensing.md.
 """
 
@@ -27,7 +27,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"
 RATE_HZ = {"jamia": 500.0, "n_plus_1": 250.0}
 DIAMETER_M = {"jamia": 0.035, "n_plus_1": 0.042}
 PRESHAPE_DEG = {"jamia": (8.0, 0.0), "n_plus_1": (4.0, 0.0)}
-"""Angles of the fingers and of the thumb before closing [deg], at which the digits do not touch the object yet."""
+"""Angles of fingers and thumb before closing [deg]. At these angles the digits do not touch the object yet."""
 SENSORS = {
     "load cells and joint encoders": (True, True),
     "load cells": (True, False),
@@ -35,7 +35,7 @@ SENSORS = {
     "neither": (False, False),
 }
 CASES = [("jamia", "load cells"), ("jamia", "neither"), *(("n_plus_1", sensors) for sensors in SENSORS)]
-"""Hands with their sensors. jamia has no joint encoders."""
+"""Hand and sensors of each case. There are no cases with joint encoders for jamia, because jamia has none."""
 CONTACT_N = 0.3
 """True force of a digit on the object above which the digit is in contact [N]."""
 MOVING = ("home", "preshape", "open")
@@ -52,11 +52,11 @@ FAULTS = {
     "two drives are exchanged": "swap node={motor} with={other} at=1.6s",
     "a drive keeps its torque after the cut": "hold_on node={motor} at=4s",
 }
-"""Injected faults. These faults act on parts that every hand of the benchmark has."""
+"""Name and command of each injected fault. The faults act on parts that every hand of the benchmark has."""
 
 
 def hand_with(name: str, sensors: str) -> Hand:
-    """Return a packaged hand with some of its sensors."""
+    """Return a packaged hand with only the given sensors."""
     cells, encoders = SENSORS[sensors]
     content: dict[str, Any] = hand_content(name)
     if not cells and not encoders:
@@ -68,7 +68,7 @@ def hand_with(name: str, sensors: str) -> Hand:
 
 
 def task_of(hand: Hand) -> Task:
-    """Return the grasp of a hand."""
+    """Return the task with which a hand grasps the cylinder."""
     finger, thumb = PRESHAPE_DEG[hand.name]
     preshape = {name: thumb if name == "thumb" else finger for name in hand.digit_names}
     phases = (
@@ -94,7 +94,7 @@ def scene_of(name: str) -> str:
 
 @dataclass
 class SensingRun:
-    """Record of a run with one row per tick, and the reported faults."""
+    """Record of a run with one row per tick with an active hand, and the reported faults."""
 
     phase: list[str] = field(default_factory=list)
     error: list[np.ndarray] = field(default_factory=list)
@@ -138,12 +138,12 @@ def run(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") ->
 
 
 def rms(values: Any) -> float:
-    """Return the root mean square."""
+    """Return the root mean square of values, or NaN if there are none."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
 def figures(records: list[SensingRun], period: float) -> dict[str, float]:
-    """Return the figures of the runs of one hand."""
+    """Return the figures of all runs of one case."""
     moving = []
     held = []
     sigma = []
@@ -159,7 +159,7 @@ def figures(records: list[SensingRun], period: float) -> dict[str, float]:
         moving.append(error[in_motion])
         held.append(error[holding])
         sigma.append(width[holding])
-        # A slack tendon has no tension to estimate.
+        # A slack tendon has no tension that could be estimated.
         taut = width > 0.0
         taut[~(in_motion | (phase == "hold"))] = False
         scaled.append(error[taut] / width[taut])
@@ -177,7 +177,7 @@ def figures(records: list[SensingRun], period: float) -> dict[str, float]:
 
 
 def measure(seeds: int) -> dict[str, Any]:
-    """Measure all cases, and the faults of jamia with and without load cells."""
+    """Measure all cases without faults, and the injected faults on jamia with and without load cells."""
     result: dict[str, Any] = {"seeds": seeds, "cases": [], "faults": {}}
     for name, sensors in CASES:
         model = HandModel.of(hand_with(name, sensors), Gains(), RATE_HZ[name])
@@ -221,7 +221,7 @@ two times sigma.""".splitlines()
 
 
 def page(result: dict[str, Any]) -> str:
-    """Return the page of a measurement."""
+    """Return the text of the page for the results of a measurement."""
     rows = [
         f"| {c['hand']}, {c['sensors']} | {c['moving_N']:.2f} | {c['holding_N']:.2f} | {c['sigma_N']:.2f} | "
         f"{c['error_per_sigma']:.2f} | {c['angle_deg']:.2f} | {c['delay_ms']:.0f} | {100 * c['held']:.0f} % |"
@@ -255,7 +255,7 @@ def page(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Measure all cases, and print or write the result."""
+    """Measure all cases, and print the result or write the page."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n", 1)[0])
     parser.add_argument("--seeds", type=int, default=20, help="number of runs for each hand (default: 20)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")

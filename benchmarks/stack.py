@@ -17,7 +17,7 @@ from handctl.programs.task import load_task
 from handctl.session.simulate import Simulator
 
 RATES = {"jamia": 500.0, "jamia11": 200.0}
-"""Default rates on one classical bus [Hz]."""
+"""Default control rate of each hand on one classical bus [Hz]."""
 HEAD = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n'
 
 
@@ -48,7 +48,7 @@ class Grasp:
 
 
 class Stack:
-    """A homed hand with its controller, tick by tick.
+    """A homed simulated hand with its controller, which runs tick by tick.
 
     Attributes:
         engine: rigid bodies and contact.

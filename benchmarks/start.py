@@ -1,8 +1,10 @@
 """Start of a run: time from the command to the first frame on the bus, and the time of the help of a verb.
 
-``python benchmarks/start.py [--repeats N] [--json]``. The bus is the local bus, with nobody else on it. The kernels
-and the byte code of Python are compiled before the first measurement. The start of Python with numpy is measured in
-between, as a reference of the same machine: compare ratios. The CPU time depends less on other programs.
+``python benchmarks/start.py [--repeats N] [--json]``. The bus is a local bus without other
+participants. The kernels and the byte code of Python are compiled before the first measurement.
+Between the starts, the benchmark measures the start of Python with numpy, as a reference for the
+same machine. Compare only ratios to this reference. The CPU time depends less on other programs
+than the wall time.
 """
 
 import argparse
@@ -29,28 +31,28 @@ RUNS = {"handctl run": "jamia", "handctl run, 11 motors": "jamia11"}
 
 
 class Start(NamedTuple):
-    """Time of a start [s], and CPU time of its process until then [s]."""
+    """Wall time of a start [s], and CPU time of the started process until then [s]."""
 
     wall: float
     cpu: float
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all programs and print the times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=7, help="starts of each program (default: 7)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
         os.environ["HANDCTL_RUN_DIR"] = folder
-        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # without byte code each start compiles 300 modules
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # without stored byte code each start would compile 300 modules
         os.environ["PYTHONPYCACHEPREFIX"] = folder
         result = measure(args.repeats, Path(folder))
     print(json.dumps(result, indent=2)) if args.json else show(result)
 
 
 def measure(repeats: int, folder: Path) -> dict[str, list[Start]]:
-    """Return the times of each program. The programs take turns."""
+    """Return the times of all starts of each program. The programs are started in turns."""
     command = [sys.executable, "-m", "firmware_sim", "bus", BUS]
     hub = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1])
     assert hub.stdout
@@ -63,7 +65,7 @@ def measure(repeats: int, folder: Path) -> dict[str, list[Start]]:
         measures[name] = partial(until_first_frame, hand, folder)
     try:
         for one in measures.values():
-            one()  # compiles, and fills the cache of the disk
+            one()  # The first start compiles, and fills the disk cache.
         times: dict[str, list[Start]] = {name: [] for name in measures}
         for _ in range(repeats):
             for name, one in measures.items():
@@ -75,7 +77,7 @@ def measure(repeats: int, folder: Path) -> dict[str, list[Start]]:
 
 
 def time_until_exit(command: list[str]) -> Start:
-    """Return the times of a command."""
+    """Return the wall time and CPU time of a command from its start to its end."""
     before = cpu_of_children()
     begin = time.monotonic()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
@@ -95,7 +97,7 @@ def cpu_of(pid: int) -> float:
 
 
 def until_first_frame(hand: str, folder: Path) -> Start:
-    """Return the times from the start of ``handctl run`` to its first frame."""
+    """Return the wall time and CPU time from the start of ``handctl run`` to its first frame."""
     from handctl.runtime.buses.local import connect
 
     listener = connect(BUS)
@@ -116,7 +118,7 @@ def until_first_frame(hand: str, folder: Path) -> Start:
 
 
 def show(result: dict[str, list[Start]]) -> None:
-    """Print a table."""
+    """Print a table of the times."""
     print(f"{'program':28} {'median [s]':>11} {'smallest':>9} {'largest':>8} {'CPU [s]':>8}")
     for name, starts in result.items():
         times = [start.wall for start in starts]

@@ -37,43 +37,49 @@ MIDDLE_DEG = 30.0
 SWING_DEG = 20.0
 READY_S = 120.0
 HEALTHY_S = 0.5
-"""Duration of a good stream before and after a misbehaviour, in the time of the hand."""
+"""Duration of a good stream before and after a misbehaviour, in the time of the simulated hand [s]."""
 BAD_S = 0.4
-"""Duration of a misbehaviour, in the time of the hand."""
+"""Duration of a misbehaviour, in the time of the simulated hand [s]."""
 TRACKED_S = 4.0
-"""Length of the streamed and of the known motion. The first second does not count."""
+"""Duration of the streamed motion and of the motion in the task [s]. The first second does not count."""
 KNOT_S = 0.04
-"""Time between two angles of the known motion. A spline between them misses the sine by less than 0.001 deg."""
+"""Time between two angles of the motion in the task [s].
+
+A spline between these angles differs from the sine by less than 0.001 deg.
+"""
 LOST_S = 2.0
-"""Time in which a hand relaxes after its client was killed, in the time of the hand."""
+"""Time in which a hand relaxes after its client was killed, in the time of the simulated hand [s]."""
 STACKED = 5
-"""Copies of a target from a client that repeats."""
+"""Number of times that a repeating client sends each target."""
 LATENCY_S = 10.0
 QUICK_LATENCY_S = 2.0
-"""Duration of each measurement of the latency, and of a quick one."""
+"""Duration of a quick measurement of the latency [s]. An ordinary measurement lasts ``LATENCY_S``."""
 PARTS = ("clients", "tracking", "latency")
 SIMULATOR = ["-m", "firmware_sim"]
 """Arguments of Python that start a simulated hand."""
 INTERPOLATIONS = ("linear", "minimum_jerk")
 Homed = tuple[Path, tuple[str, ...]]
-"""Calibration and options of a simulated hand that is commissioned already."""
+"""Calibration file of a simulated hand that is already commissioned, and options of its simulator."""
 
 
 def sine(t: float) -> float:
-    """Return the angle of the motion, 1 Hz [deg]."""
+    """Return the angle of the streamed motion at a time [deg]. The motion is a sine of 1 Hz."""
     return MIDDLE_DEG + SWING_DEG * math.sin(2.0 * math.pi * t)
 
 
 class BadClient:
-    """A stream of one digit whose targets the caller falsifies. The checks of ``TargetStream.send`` are left out."""
+    """A stream of one digit with targets that the caller falsifies.
+
+    The checks of ``TargetStream.send`` are left out.
+    """
 
     def __init__(self, hand: HandClient, stream: TargetStream, scale: float) -> None:
-        """Begin a stream.
+        """Begin to send targets through an open stream.
 
         Args:
             hand: client of the hand.
             stream: open stream of the client.
-            scale: time of the hand per wall time.
+            scale: ratio of the time of the simulated hand to wall time.
         """
         self.hand = hand
         self.stream = stream
@@ -83,36 +89,36 @@ class BadClient:
 
     @property
     def t_s(self) -> float:
-        """Return the time of the hand since the beginning [s]."""
+        """Return the time of the simulated hand since the beginning of the stream [s]."""
         return (time.monotonic() - self.began_s) * self.scale
 
     def send(self, value: float, number: int | None = None, age_s: float = 0.0, space: int = 1) -> None:
-        """Send a value with any number and any age in the time of the hand [s]."""
+        """Send a value as a target, with any number and any age in the time of the simulated hand [s]."""
         self.number += number is None
         sent_ns = time.monotonic_ns() - round(1e9 * age_s / self.scale)
         values = np.full(space, value)
         self.stream._sender.send(self.number if number is None else number, sent_ns, values)
 
     def good(self, seconds: float) -> None:
-        """Stream the sine."""
+        """Stream the correct motion for a time [s]."""
         for _ in self.periods(seconds):
             self.send(sine(self.t_s + self.stream.horizon_s))
 
     def periods(self, seconds: float) -> Iterator[int]:
-        """Yield the number of each period of the stream."""
+        """Yield the number of each period of the stream, and sleep until the next period."""
         for i in range(round(seconds * RATE_HZ)):
             yield i
             self.stream.sleep()
 
 
 def paused(client: BadClient) -> None:
-    """Stream on while the parent stops this process. The pause comes from outside."""
+    """Stream the correct motion, while the parent process stops or kills this process."""
     print("pause", flush=True)
     client.good(2.0 * BAD_S)
 
 
 def flooding(client: BadClient) -> None:
-    """Send 10,000 targets a second, of the same motion."""
+    """Send 10,000 targets of the correct motion a second."""
     end = client.t_s + BAD_S
     while client.t_s < end:
         began = time.monotonic_ns()
@@ -122,7 +128,7 @@ def flooding(client: BadClient) -> None:
 
 
 def constant(value: float) -> Any:
-    """Return a misbehaviour: one value in place of all targets."""
+    """Return a misbehaviour that sends one value in place of all targets."""
 
     def misbehave(client: BadClient) -> None:
         for _ in client.periods(BAD_S):
@@ -132,7 +138,7 @@ def constant(value: float) -> Any:
 
 
 def late(seconds: float) -> Any:
-    """Return a misbehaviour: targets that were sent long ago."""
+    """Return a misbehaviour that sends old targets with an old time of sending."""
 
     def misbehave(client: BadClient) -> None:
         for _ in client.periods(BAD_S):
@@ -142,7 +148,7 @@ def late(seconds: float) -> Any:
 
 
 def repeating(client: BadClient) -> None:
-    """Send each target five times."""
+    """Send each target five times with the same number."""
     for _ in client.periods(BAD_S):
         value = sine(client.t_s + client.stream.horizon_s)
         client.send(value)
@@ -161,14 +167,14 @@ def overtaking(client: BadClient) -> None:
 
 
 def jumping(client: BadClient) -> None:
-    """Send random angles, also beyond the range of the joints: a policy that has gone wild."""
+    """Send random angles, some beyond the range of the joints, like a faulty policy."""
     draw = random.Random(0)
     for _ in client.periods(BAD_S):
         client.send(draw.uniform(-30.0, 130.0))
 
 
 def straining(client: BadClient) -> None:
-    """Ask for a tension far beyond the limit."""
+    """Send a target tension far beyond the limit."""
     for _ in client.periods(BAD_S):
         client.send(1000.0)
 
@@ -189,11 +195,11 @@ CLIENTS: dict[str, tuple[str, Any]] = {
     "killed": ("killed", paused),
     "killed-owner": ("killed, had started the controller", paused),
 }
-"""Name -> description of the misbehaviour, and its function. A kill ends the run and is the last."""
+"""For each client, the description of its misbehaviour, and its function. A killed client ends the run."""
 
 
 def run_client(name: str, bus: str, scale: float, words: list[str]) -> None:
-    """Stream as one of the clients. Print the ticks of its misbehaviour."""
+    """Stream as one of the clients. Print first and last tick of its misbehaviour and the counts of its targets."""
     with handctl.connect("jamia", bus, *words) as hand:
         hand.move({DIGIT: MIDDLE_DEG}, duration_s=0.5)
         space = "tension" if name == "straining" else "digit"
@@ -211,7 +217,7 @@ def run_client(name: str, bus: str, scale: float, words: list[str]) -> None:
 
 
 class Stage:
-    """Simulated hand in a separate process, with files in a folder.
+    """Simulated hand in a separate process that stores its files in a folder.
 
     Attributes:
         folder: folder of the files.
@@ -220,7 +226,7 @@ class Stage:
     """
 
     def __init__(self, folder: Path, bus: str, scale: float, homed: Homed | None) -> None:
-        """Start the hand, see ``stage``."""
+        """Start the hand. The arguments are those of ``stage``."""
         self.bus = bus
         self.scale = scale
         self.folder = folder
@@ -237,11 +243,11 @@ class Stage:
         assert select.select([self._process.stdout], [], [], READY_S)[0], "no simulated hand"
 
     def connect(self) -> HandClient:
-        """Return a client that starts the controller. It is not open yet."""
+        """Return a client that is not open yet. When it is opened, it starts the controller."""
         return handctl.connect("jamia", self.bus, *self.words)
 
     def close(self) -> None:
-        """End the hand, which completes its truth."""
+        """End the simulated hand, which then completes the file of the plant's truth."""
         if self._process.poll() is None:
             self._process.terminate()
         self._process.communicate(timeout=READY_S)
@@ -249,12 +255,12 @@ class Stage:
 
 @contextmanager
 def stage(bus: str, scale: float, homed: Homed | None = None) -> Iterator[Stage]:
-    """Run a simulated hand in a block.
+    """Run a simulated hand within a ``with`` block.
 
     Args:
         bus: bus of the hand.
-        scale: time of the hand per wall time.
-        homed: calibration and options of a hand that needs no commissioning, None for one that is commissioned first.
+        scale: ratio of the time of the simulated hand to wall time.
+        homed: calibration and options of a commissioned hand. With None, the hand is commissioned first.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
         one = Stage(Path(folder), bus, scale, homed)
@@ -264,14 +270,14 @@ def stage(bus: str, scale: float, homed: Homed | None = None) -> Iterator[Stage]
             one.close()
 
 
-# Bad clients
+# Part 1: clients that misbehave
 
 
 def measure_clients(names: list[str], bus: str, scale: float, homed: Homed | None = None) -> dict[str, Any]:
-    """Let clients stream to a hand, one after another. Return a row of the table for each client.
+    """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
-    The client that has started its controller gets a separate hand. A killed client ends the run
-    and is the last.
+    The client that starts its controller itself gets a separate hand. A killed client ends the run,
+    so that it is the last client of its hand.
     """
     shared = sorted((name for name in names if name != "killed-owner"), key=lambda name: name == "killed")
     groups = [shared, [name for name in names if name == "killed-owner"]]
@@ -287,7 +293,11 @@ def measure_clients(names: list[str], bus: str, scale: float, homed: Homed | Non
 
 
 def _windows(place: Stage, names: list[str]) -> tuple[dict[str, Any], int]:
-    """Run clients. Return the ticks and counts of each misbehaviour, and the start of the run on the hand's clock."""
+    """Run clients on one hand.
+
+    The result is the ticks and counts of each misbehaviour, and the start of the run on the hand's
+    clock [ns].
+    """
     if names == ["killed-owner"]:
         window, start_ns = _one(place, names[0], None)
         return {names[0]: window}, start_ns
@@ -299,14 +309,14 @@ def _windows(place: Stage, names: list[str]) -> tuple[dict[str, Any], int]:
     finally:
         try:
             hand.close()
-        except handctl.DriveError:  # a stale stream is a fault that ends the run
+        except handctl.DriveError:  # The stale stream of a killed client is a fault that ends the run.
             if "killed" not in windows:
                 raise
     return windows, start_ns
 
 
 def _one(place: Stage, name: str, owner: HandClient | None) -> tuple[dict[str, Any], int]:
-    """Run one client in a separate process, and pause or kill it."""
+    """Run one client in a separate process, which is paused or killed if the name says so."""
     words = place.words if owner is None else []
     command = [sys.executable, __file__, "--client", name, place.bus, f"{place.scale:g}", *words]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -339,9 +349,10 @@ def _one(place: Stage, name: str, owner: HandClient | None) -> tuple[dict[str, A
 
 
 def start_of(hand: HandClient | None, scale: float) -> int:
-    """Return the time of t = 0 of the run on the clock of the simulated hand [ns].
+    """Return the time at which the run has t = 0, on the clock of the simulated hand [ns].
 
-    A tick publishes its observation at its end. The shortest of many ticks counts, some 0.1 ms.
+    A tick publishes its observation at its end, so that the result is too late by the duration of a
+    tick. The shortest of many ticks is used, which lasts about 0.1 ms.
     """
     assert hand is not None
     seen = [hand.observe(wait=True) for _ in range(50)]
@@ -349,7 +360,7 @@ def start_of(hand: HandClient | None, scale: float) -> int:
 
 
 def _row(log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int) -> dict[str, Any]:
-    """Return one row of the table: mode, faults, true tension and speed during a misbehaviour."""
+    """Return one row of the table: mode, faults, largest true tension and largest speeds during a misbehaviour."""
     last = int(log.k[-1]) if window["to"] is None else window["to"]
     inside = (log.k >= window["from"]) & (log.k <= last)
     first_ns, last_ns = log.t_ns[inside][[0, -1]]
@@ -369,13 +380,14 @@ def _row(log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int)
     }
 
 
-# Tracking
+# Part 2: tracking of a streamed motion
 
 
 def measure_tracking(bus: str, scale: float, homed: Homed | None = None) -> dict[str, Any]:
     """Compare a streamed sine with the same motion as a task, by the true angle of the digit.
 
-    Errors are RMS [deg]. The lateness of the ticks tells how busy the machine was.
+    The errors are RMS values [deg]. The result includes the lateness of the ticks, which shows how
+    busy the machine was.
     """
     began_ns: dict[str, int] = {}
     with stage(bus, scale, homed) as place:
@@ -401,7 +413,7 @@ def measure_tracking(bus: str, scale: float, homed: Homed | None = None) -> dict
 
 
 def _task() -> str:
-    """Return the task of the same motion as the stream."""
+    """Return a task that has the same motion as the stream."""
     times = np.arange(0.0, TRACKED_S + 1e-9, KNOT_S).round(3).tolist()
     stay = {"kind": "move", "name": "stay", "angle_deg": {DIGIT: MIDDLE_DEG}, "duration_s": 0.5}
     angles = {DIGIT: [round(sine(t), 4) for t in times]}
@@ -410,7 +422,7 @@ def _task() -> str:
 
 
 def _tracking_error(truth: TruthRecord, began_ns: int) -> float:
-    """Return the RMS of true minus intended angle without the first second [deg]."""
+    """Return the RMS of the true minus the intended angle, without the first second [deg]."""
     t = (truth.t_ns - began_ns) / 1e9
     counted = (t > 1.0) & (t < TRACKED_S - 0.05)
     joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{DIGIT}")]
@@ -418,11 +430,11 @@ def _tracking_error(truth: TruthRecord, began_ns: int) -> float:
     return float(np.sqrt(np.mean((true - MIDDLE_DEG - SWING_DEG * np.sin(2.0 * math.pi * t[counted])) ** 2)))
 
 
-# Latency
+# Part 3: latency of observations and targets
 
 
 def measure_latency(bus: str, seconds: float) -> dict[str, Any]:
-    """Measure delays in unscaled time [ms], as p50 and p99."""
+    """Measure the percentiles p50 and p99 of delays in unscaled time [ms]."""
     with stage(bus, 1.0) as place, place.connect() as hand:
         rows = {
             "tick to client, observations": _observed(hand, seconds),
@@ -437,7 +449,7 @@ def measure_latency(bus: str, seconds: float) -> dict[str, Any]:
 
 
 def _observed(hand: HandClient, seconds: float) -> list[float]:
-    """Return the ages of all observations when the client has them [ms]."""
+    """Return the age of each observation at the moment when the client receives it [ms]."""
     ages: list[float] = []
     end = time.monotonic() + seconds
     for seen in hand.observations():
@@ -448,7 +460,7 @@ def _observed(hand: HandClient, seconds: float) -> list[float]:
 
 
 def _states(hand: HandClient, seconds: float) -> list[float]:
-    """Return the ages of status lines when the client has them [ms]. The controller sends 50 a second."""
+    """Return the age of each status line when the client receives it [ms]. The controller sends 50 lines a second."""
     ages: list[float] = []
     end = time.monotonic() + seconds
     last = -1
@@ -465,7 +477,7 @@ def _states(hand: HandClient, seconds: float) -> list[float]:
 
 
 def _targets(hand: HandClient, seconds: float) -> list[float]:
-    """Return the times from the sending of targets until the tick that obeys them has sent its frames [ms]."""
+    """Return the time from the sending of each target until the tick that follows it has sent its frames [ms]."""
     delays: list[float] = []
     draw = random.Random(0)
     hand.move({DIGIT: MIDDLE_DEG}, duration_s=0.5)
@@ -484,7 +496,7 @@ def _targets(hand: HandClient, seconds: float) -> list[float]:
 
 
 def _moves(hand: HandClient, seconds: float) -> list[float]:
-    """Return the times that a move over the request socket takes until it is confirmed [ms]."""
+    """Return the time from each request of a move over the request socket until its confirmation [ms]."""
     delays: list[float] = []
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -495,7 +507,7 @@ def _moves(hand: HandClient, seconds: float) -> list[float]:
     return delays
 
 
-# Output
+# Output of the results
 
 
 def show(result: dict[str, Any]) -> None:
@@ -528,7 +540,7 @@ def show(result: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure the selected parts and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("part", nargs="*", help=f"parts of the benchmark: {', '.join(PARTS)} (default: all)")
     parser.add_argument(

@@ -34,7 +34,7 @@ from handctl.tune.search.search import SearchPlan, SearchResult, run_search
 from handctl.tune.search.workers import Workers, make_workers
 
 PLANT = {"stiffness": 0.7, "friction": 1.3, "mass": 1.3, "spring": 1.1, "motor_inertia": 0.7, "damping": 1.3}
-"""Factors of the true plant, fixed before anything was tuned."""
+"""Factors on the parameters of the true plant. They were fixed before anything was tuned."""
 DETUNED = {
     "motion.position_error_m": 3.0,
     "motion.speed_error_m_s": 1.0 / 3.0,
@@ -43,13 +43,13 @@ DETUNED = {
     "tension.integral_per_s": 3.0,
     "filter.motor_disturbance_N": 3.0,
 }
-"""Factors on the packaged gains that give the initial gains, fixed before anything was tuned."""
+"""Factors on the packaged gains that give the initial gains. They were fixed before anything was tuned."""
 JUDGE_SEED = 1000
-"""Seed of the noise for the comparison, which no search has used."""
+"""Seed of the noise in the comparison. No search has used this seed."""
 
 
 def main() -> int:
-    """Run both searches and compare."""
+    """Run the searches and print the comparison of their gains."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quick", action="store_true", help="ten trials (about a minute)")
@@ -72,7 +72,7 @@ def main() -> int:
 
 
 def detuned_gains() -> Gains:
-    """Return the initial gains."""
+    """Return the initial gains, which are detuned."""
     packaged = values_by_key(Gains())
     return with_values(Gains(), {key: factor * packaged[key] for key, factor in DETUNED.items()}, "benchmark")
 
@@ -141,13 +141,16 @@ def _best(base: Gains, result: SearchResult) -> Gains:
 
 
 def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
-    """Score gains on the true plant, with noise that no search has used, also without sufficient margins."""
+    """Return a job that scores gains on the true plant, even if their margins are too small.
+
+    The job uses noise that no search has used.
+    """
     table = {"gains": gains.model_dump(by_alias=True), "seed": JUDGE_SEED, "must_keep_margins": False}
     return plan.job(0, {}) | table
 
 
 def _with_model(hand: Hand, model: HandModel) -> Score:
-    """Score a job on the true plant with a controller of the identified hand, and compute its margins."""
+    """Score the controller of the identified hand on the true plant, and compute its margins."""
     margins = worst_margins(model, (linear_factors(dict.fromkeys(PLANT, 1.0)),))
     return replace(score_exercise(hand, model, PLANT, JUDGE_SEED), shortfall=margins.shortfall)
 

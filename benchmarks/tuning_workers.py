@@ -26,20 +26,23 @@ RATE_HZ = 500.0
 
 
 def jobs(count: int) -> list[Row]:
-    """Return trials with slightly different gains, because equal trials would be computed only once."""
+    """Return trials with slightly different gains. Equal trials would be computed only once."""
     changed = [with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark") for i in range(count)]
     plain = {"hand": load_hand("jamia").to_toml(), "rate_hz": RATE_HZ, "plants": list(draw_ensemble(1, 0)), "seed": 1}
     return [plain | {"gains": gains.model_dump(by_alias=True)} for gains in changed]
 
 
 def cpu_s(pid: int) -> float:
-    """Return the CPU time of a process so far [s]. Source: proc(5), fields 14 and 15 of stat."""
+    """Return the CPU time that a process has used so far [s]. Source: proc(5), fields 14 and 15 of stat."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def timed(count: int, work: list[Row]) -> tuple[Row, list[Row]]:
-    """Measure the time of a search with some workers. Return the time, and the scores in order."""
+    """Measure the times of a search with a number of workers.
+
+    Return the times, and the scores in the order of the jobs.
+    """
     began = time.monotonic()
     crew = ProcessPool(count)
     try:

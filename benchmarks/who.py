@@ -21,7 +21,9 @@ PARTS = {
     "reading a log": ("handctl/log/", "handctl/replay/"),
     "lockstep clock and bus, this script": ("handctl/runtime/", "benchmarks/"),
 }  # fmt: skip
-"""Parts of the program, each with pieces of the paths (or names) of its functions. The first part that fits is used.
+"""Parts of the program, each with pieces of the paths or names of its functions.
+
+A function belongs to the first part that has a fitting piece.
 
 The profiler does not see compiled functions: their time belongs to the Python function that calls
 them. Each stage of the tick is therefore recognised by the method that runs it. The compiled step
@@ -32,7 +34,10 @@ Function = tuple[str, int, str]
 
 
 def spent(work: Callable[[], None]) -> dict[str, float]:
-    """Return the fraction of time of each part. The profiler slows down calls, so that compiled code seems faster."""
+    """Return the fraction of the time that each part takes.
+
+    The profiler slows down Python calls, so that compiled code seems faster.
+    """
     profile = cProfile.Profile()
     profile.runcall(work)
     stats = pstats.Stats(profile).stats
@@ -45,7 +50,10 @@ def spent(work: Callable[[], None]) -> dict[str, float]:
 
 
 def _owners(stats: dict, function: Function, depth: int) -> Iterator[tuple[str, float]]:
-    """Return the parts of a function, with fractions: its own part, or the parts of its callers by their time."""
+    """Yield the parts to which a function belongs, with fractions.
+
+    These are its own part, or the parts of its callers in proportion to their time.
+    """
     name = f"{function[0]}/{function[2]}"
     part = next((part for part, marks in PARTS.items() if any(mark in name for mark in marks)), None)
     callers = stats[function][4]

@@ -1,4 +1,4 @@
-"""Settings of all tests: size of property runs, tests of the nightly run, repetition of tests on the real clock."""
+"""Settings of all tests: examples of property tests, nightly tests, and repetition of tests on the real clock."""
 
 import os
 import signal
@@ -15,42 +15,46 @@ from tests.stalls import StallMeter
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SLOW_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S", "inf"))
-"""Cost above which a test of tests/slow_tests.txt is left out [s]."""
+"""Cost above which a sample leaves out a test of tests/slow_tests.txt [s]."""
 CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-"""No time limit per example. The cores are shared, and property tests judge no time."""
+"""Property tests have no time limit per example. They judge no time, and the processor cores are shared."""
 
 settings.register_profile("every run", CALM, derandomize=True, database=None, max_examples=40)
 settings.register_profile("nightly", CALM, max_examples=2000, print_blob=True)
 settings.load_profile("nightly" if NIGHTLY else "every run")
 
 SLOWER = 0.5
-"""Factor on the time scale of a test for each repetition."""
+"""Factor by which each repetition of a test reduces its time scale."""
 CALM_S = 1.0
-"""Time without a stall before a repetition [s]."""
+"""Time without a stall of the machine that precedes a repetition [s]."""
 MAX_WAIT_S = 15.0
-"""Longest wait for such a time [s]."""
+"""Longest wait for a time without a stall before a repetition [s]."""
 TIMEOUT_S = 900.0
-"""Time limit for all tries of a test together [s]. A test may set a shorter one."""
+"""Time limit for all tries of a test on the real clock together [s]. A test may set a shorter limit."""
 
-# A background job of a shell starts with SIGINT ignored, one of nohup with SIGHUP ignored. Every program
+# A shell starts its background jobs with SIGINT ignored, and nohup ignores SIGHUP. Every program
 # that the tests start would inherit this.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-# Where Python may store no byte code, each program that the tests start would compile 300 modules, half of its start.
+# If Python may not store byte code, each program that the tests start compiles 300 modules. This
+# takes half of its start.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     BYTE_CODE = tempfile.TemporaryDirectory(prefix="handctl-byte-code-", ignore_cleanup_errors=True)
-    """Folder for the byte code of these programs, removed at the end of this process."""
+    """Folder for the byte code of the programs that tests start. It is removed at the end of this process."""
     os.environ["PYTHONPYCACHEPREFIX"] = BYTE_CODE.name
 if "HANDCTL_RUN_DIR" not in os.environ:
     RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
-    """Folder for buses and truths of these tests, removed at the end of this process."""
+    """Folder for sockets of buses and truth files of tests. It is removed at the end of this process."""
     os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
 
 
 ON_CLOCK = ("alone", "realtime and not alone")
-"""Selections of `make realtime`, which contain tests on the real clock only."""
+"""Test selections of `make realtime`. They contain only tests on the real clock."""
 REAL_CLOCK_MARKERS = ("mark.realtime", "mark.alone")
-"""Every file with tests on the real clock has one of these, except in the folder that marks all of its tests."""
+"""Markers of tests on the real clock.
+
+Every file with such tests contains one, except in the folder that marks all its tests.
+"""
 MARKED_FOLDER = Path(__file__).parent / "vcan"
 
 
@@ -61,9 +65,9 @@ def has_clock_tests(path: Path) -> bool:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out files without tests on the real clock if only such tests are selected.
+    """Leave out a file that has no tests on the real clock, if only tests on the real clock are selected.
 
-    Importing all files takes 15 s.
+    The import of all test files would take 15 s.
     """
     if config.getoption("markexpr") not in ON_CLOCK or not collection_path.match("test_*.py"):
         return None
@@ -71,18 +75,20 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 class Repeats:
-    """Plugin that repeats a failed test on the real clock if the machine stalled during it. Three tries at most.
+    """Plugin that repeats a failed test on the real clock if the machine stalled during it.
 
-    Where a test slows time, each try slows it more (``slower``). In slower time a stall has less
-    effect, and a defect has the same effect.
+    A test has at most three tries.
+
+    If a test slows time, each try slows it more by the fixture ``slower``. In slower time a stall
+    has less effect, but a defect has the same effect.
 
     Attributes:
-        stalls: repeated tests, and the longest stall during each [s].
+        stalls: names of the repeated tests, with the longest stall during each [s].
         meter: stall meter, which starts with the first test on the real clock.
     """
 
     def __init__(self) -> None:
-        """Start without a meter. Most runs have no test on the real clock."""
+        """Start without a stall meter, because most runs have no test on the real clock."""
         self.stalls: list[tuple[str, float]] = []
         self.meter: StallMeter | None = None
         self._test = ""
@@ -90,7 +96,7 @@ class Repeats:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        """Note the start of a test on the real clock."""
+        """Store the start of a test on the real clock."""
         if item.get_closest_marker("realtime"):
             self.meter = self.meter or StallMeter()
             self._test = item.nodeid
@@ -105,9 +111,9 @@ class Repeats:
         return longest > 0.0
 
     def await_calm(self) -> None:
-        """Wait for ``CALM_S`` without a stall, at most for ``MAX_WAIT_S``.
+        """Wait until the machine had no stall for ``CALM_S``, but at most for ``MAX_WAIT_S``.
 
-        Stalls occur in bursts.
+        A stall is often followed by others.
         """
         assert self.meter
         until = time.monotonic() + MAX_WAIT_S
@@ -118,14 +124,14 @@ class Repeats:
                 return
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Let the tests on the real clock be repeated."""
+        """Mark the tests on the real clock as tests that may be repeated."""
         for item in items:
             if item.get_closest_marker("realtime"):
                 item.add_marker(pytest.mark.flaky(reruns=2, condition=self.stalled))
                 item.add_marker(pytest.mark.timeout(TIMEOUT_S))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Report the repeated tests and the stall in each."""
+        """Report the repeated tests and the longest stall in each."""
         for test, longest in self.stalls:
             terminalreporter.write_line(f"failed while the machine stalled for {longest * 1e3:.0f} ms: {test}")
 
@@ -142,12 +148,15 @@ def slower(request: pytest.FixtureRequest) -> float:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that measures the tests."""
+    """Add the option that stores the processor time of each test."""
     parser.addoption("--durations-file", type=Path, help="append the processor time of each test to this file")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the repetition, except in a guest: with its one core every process waits for the others."""
+    """Register the repetition of tests, except in a virtual machine.
+
+    A virtual machine has one core, on which every process waits for the others.
+    """
     if "HANDCTL_VCAN_REPORTS" not in os.environ:
         config.pluginmanager.register(Repeats(), "repeats")
     if path := config.getoption("--durations-file"):

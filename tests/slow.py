@@ -1,4 +1,6 @@
-"""Chooses the tests that `make test` leaves to CI and to the night, from their measured processor time.
+"""Choose the slow tests by their measured processor time.
+
+`make test` leaves out the slow tests. CI or the nightly run performs them.
 
     make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
     python -m tests.slow times.jsonl                                    # writes tests/slow_tests.txt
@@ -6,10 +8,12 @@
     make unit HANDCTL_SLOW_S=0 PYTEST_FLAGS=--durations-file=times.jsonl    # only the tests of `make test`
     python -m tests.slow times.jsonl --add                              # adds those that have become slow
 
-A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``: `make test` sets 0, CI sets 3, and more for
-tests on the real clock. `make nightly` and a plain pytest run all of them. The cost is processor time, and on the real
-clock elapsed time. In a sample each test function keeps its first cases up to ``FUNCTION_S`` or ``CLOCK_S``, and each
-file keeps at least its cheapest test up to ``FILE_S``, so that a sample still enters every file.
+A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``. `make test` sets 0, and CI
+sets 3, with a higher value for tests on the real clock. `make nightly` and plain pytest run all
+listed tests. The cost of a test is its processor time, for a test on the real clock its elapsed
+time. In a sample, each test function keeps its first cases up to a total cost of ``FUNCTION_S`` or
+``CLOCK_S``. Each file keeps at least its cheapest test if that costs no more than ``FILE_S``. A
+sample therefore still enters nearly every file.
 """
 
 import json
@@ -28,9 +32,9 @@ FUNCTION_S = 0.5
 CLOCK_S = 3.0
 """Elapsed time that the cases of one test function on the real clock may take in `make test` [s]."""
 CHEAP_S = 0.05
-"""Cost of a case that is never slow [s]."""
+"""Cost up to which a case never counts as slow [s]."""
 FILE_S = 15.0
-"""Cost of the cheapest test of a file above which a sample leaves out the file [s]."""
+"""Limit of the cost of a file's cheapest test [s]. Above it, a sample leaves out the whole file."""
 
 
 def slow_tests(limit_s: float) -> frozenset[str]:
@@ -60,17 +64,17 @@ class Durations:
     """
 
     def __init__(self, path: Path) -> None:
-        """Append to a file, which processes of xdist share."""
+        """Append to a file that the processes of xdist share."""
         self.path = path
         self._elapsed_s: defaultdict[str, float] = defaultdict(float)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add the elapsed time of a part of a test. A test in a guest has the time that it took there."""
+        """Add the elapsed time of a part of a test. A test in a virtual machine has the time that it took there."""
         self._elapsed_s[report.nodeid] += report.duration
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        """Measure one test with its fixtures."""
+        """Measure the times of one test with its fixtures, and write them."""
         processor = processor_time()
         result = yield
         times = (processor_time() - processor, self._elapsed_s.pop(item.nodeid, 0.0))
@@ -106,7 +110,7 @@ def choose(rows: list[tuple[str, float, float, bool]]) -> dict[str, float]:
 
 
 def main(path: Path, add: bool) -> None:
-    """Write the list from a file of durations.
+    """Write the list of slow tests from a file of durations.
 
     Args:
         path: file with the times of a run.

@@ -1,7 +1,7 @@
-"""Detection of stalls of the machine. A test on the real clock that failed during a stall proves nothing.
+"""Detect stalls of the machine. If a test on the real clock fails during a stall, this does not show a defect.
 
-A host sometimes pauses a virtual machine for tens of milliseconds. A controller correctly ends its
-run in such a stall. A sleeper process on each core detects the pause from outside the tested
+A host sometimes pauses a virtual machine for tens of milliseconds. In such a stall, a controller
+correctly ends its run. A sleeping process on each core detects the stall from outside the tested
 processes.
 """
 
@@ -12,20 +12,23 @@ import sys
 import time
 
 NAP_S = 0.002
-"""Duration of one sleep [s]."""
+"""Duration of one sleep of a sleeping process [s]."""
 STALL_S = 0.010
-"""Smallest lateness that counts as a stall [s]. A busy core wakes a sleeper within some milliseconds."""
+"""Smallest lateness of a sleeper that counts as a stall [s].
+
+Even a busy core wakes a sleeper within some milliseconds.
+"""
 
 
 class StallMeter:
-    """Sleepers that report when they woke up late. The sleepers run until :meth:`close`.
+    """Processes that sleep and report when they wake up late. They run until :meth:`close`.
 
     Attributes:
         pids: processes of the sleepers, one per core.
     """
 
     def __init__(self) -> None:
-        """Start the sleepers and wait until each has started."""
+        """Start the sleeping processes and wait until each has started."""
         command = [sys.executable, "-I", "-S", __file__]
         self._sleepers = [
             subprocess.Popen([*command, str(core)], stdout=subprocess.PIPE) for core in os.sched_getaffinity(0)
@@ -48,14 +51,14 @@ class StallMeter:
         return max((late for _, late in self._unread), default=0.0)
 
     def close(self) -> None:
-        """End the sleepers."""
+        """End the sleeping processes."""
         for sleeper in self._sleepers:
             sleeper.kill()
             sleeper.communicate()
 
 
 def _sleep(core: int) -> None:
-    """Sleep on one core until the parent has ended. Report the end and the duration of each stall [s]."""
+    """Sleep on one core until the parent process has ended. Report the end and the duration of each stall [s]."""
     os.sched_setaffinity(0, {core})
     parent = os.getppid()
     last = time.monotonic()

@@ -1,4 +1,4 @@
-"""Client libraries from the package index as alternatives, each with its motors and payloads.
+"""Client libraries from the package index as alternatives, each with the motors and payloads that it supports.
 
 The threads of the clients are stopped, and this module does the work of the threads, so that all
 clients are measured in the same way. A client that needs a particular event loop (moteus: asyncio)
@@ -17,7 +17,7 @@ from exchange.ways import feedback
 
 
 class Damiao:
-    """damiao-motor, whose polling thread is stopped. The method `receive` polls instead."""
+    """Client damiao-motor, without its polling thread. The method `receive` polls instead of this thread."""
 
     answer = staticmethod(feedback)
 
@@ -42,7 +42,7 @@ class Damiao:
 
 
 class Odrive:
-    """odrive-can: encoding of a torque by its DBC, and decoding of a position by its reader."""
+    """Client odrive-can, which encodes a torque with its DBC and decodes a position with its reader."""
 
     AXES = 8
     """Number of axes in the DBC of odrive-can."""
@@ -74,10 +74,10 @@ class Odrive:
 
 
 class TMotor:
-    """TMotorCANControl for a CubeMars AK80-9. The thread of its notifier is replaced by calls here.
+    """Client TMotorCANControl for a CubeMars AK80-9. This class makes the calls of its notifier thread.
 
-    The ``sudo ip link set can0`` of its manager is left out, since the manager supports no other
-    bus.
+    The manager of the client supports only can0. Therefore its command ``sudo ip link set can0`` is
+    left out.
     """
 
     def __init__(self, interface, channel, motors):
@@ -120,7 +120,7 @@ class TMotor:
 
 
 class Moteus:
-    """moteus over python-can in CAN FD: position command with a torque, and the default query."""
+    """Client moteus over python-can in CAN FD, which sends a position command with a torque and the default query."""
 
     def __init__(self, interface, channel, motors):
         import moteus
@@ -158,7 +158,7 @@ class Moteus:
         self.loop.run_until_complete(self._close_transport())
 
     async def _close_transport(self):
-        """Until its task has sent everything and waits."""
+        """Let the task run until it has sent all frames and waits for replies."""
         for _ in range(4):
             await asyncio.sleep(0)
 

@@ -63,12 +63,12 @@ class VcanMotors:
 
 
 MEDIA = {"local": (LocalMotors, "local", "b"), "vcan": (VcanMotors, "socketcan", "vcan0")}
-"""Motors, interface, channel."""
+"""Class of the motors, interface and channel of each bus."""
 
 
 @contextmanager
 def motors_on(medium: str):
-    """Start motors and yield them with interface and channel of their bus."""
+    """Start the motors of a bus, and yield them with interface and channel of this bus."""
     made, interface, channel = MEDIA[medium]
     motors = made(channel)
     try:

@@ -1,6 +1,6 @@
-"""Alternatives to send a torque to each MIT motor and to read the replies: ``send(torques)``, ``receive()``.
+"""Alternatives to send a torque to each MIT motor with ``send(torques)`` and to read the replies with ``receive()``.
 
-Clients from the package index are in ``clients``.
+The clients from the package index are in the module ``clients``.
 """
 
 from functools import cache
@@ -32,7 +32,7 @@ BO_ 17 Feedback: 8 H
 
 
 def feedback(motor: int) -> tuple[int, bytes, int]:
-    """Return the feedback frame of an enabled Damiao motor, on MST_ID."""
+    """Return the feedback frame that an enabled Damiao motor sends with its MST_ID."""
     return 0x10 + motor, bytes((0x10 | motor,)) + REPLY, 0
 
 
@@ -41,7 +41,7 @@ RATE_HZ = 200.0
 
 @cache
 def enabled(motors):
-    """Return a controller of a packaged hand with this many MIT motors, and its state with all of them enabled."""
+    """Return a controller of a packaged hand with this many MIT motors, and a state in which all motors are enabled."""
     from handctl.core.gains.gains import Gains
     from handctl.core.model import HandModel
     from handctl.core.types import Mode
@@ -60,7 +60,7 @@ def enabled(motors):
 
 
 class Ours:
-    """Bus and compiled codec of handctl, with the state of each drive as in a tick."""
+    """Bus and compiled codec of handctl, which also update the state of each drive as in a tick."""
 
     answer = staticmethod(feedback)
 
@@ -133,7 +133,7 @@ class Scalar:
 
 
 class Cantools(Scalar):
-    """python-can with cantools and a DBC."""
+    """python-can with one message at a time, and a codec of cantools from a DBC."""
 
     def __init__(self, interface, channel, motors):
         super().__init__(interface, channel, motors)

@@ -1,4 +1,4 @@
-"""Parts of the grasp benchmark. Each process uses one core."""
+"""Parts of the grasp benchmark. Each process of the benchmark uses one core."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Detection of contacts at a fingertip, compared with the true contact force: latency and false alarms."""
+"""Latency and false alarms of the contact detection at a fingertip, compared with the true contact force."""
 
 import json
 import random
@@ -13,7 +13,7 @@ from handctl.programs.task import Task
 CONTACT_N = 1.0
 WITHIN_S = 0.020
 SPEED_DEG_S = (20.0, 100.0)
-"""Speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
+"""Smallest and largest speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
 TOUCHED_N = 0.01
 MOVING_FRACTION = 0.85
 """Fraction of a run of free motion in which the digits are moving."""
@@ -31,15 +31,15 @@ drop_when = "never"
 
 
 def task_of(phases: list[dict[str, Any]]) -> TaskProgram:
-    """Return the program of some phases."""
+    """Return the program of a task that consists of these phases."""
     return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases})))
 
 
 def find_contacts(job: tuple[str, int]) -> list[float]:
-    """Measure for a hand and a seed the time from 1 N on a digit to its contact event, one per digit [s].
+    """Measure the time from 1 N on a digit to its contact event [s], for each digit of a hand with a seed.
 
-    A time is negative if the event is before the time at which the force reaches 1 N, and inf
-    without an event.
+    A time is negative if the event comes before the force reaches 1 N. It is inf if there is no
+    event.
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")
@@ -71,7 +71,7 @@ def _latencies(run: Run, digits: tuple[str, ...]) -> list[float]:
 def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
     """Measure false contacts in free motion, for a hand, a time [s] and a seed.
 
-    The result also has the simulated minutes in which the digits moved.
+    The result has the number of false contacts and the simulated minutes in which the digits moved.
     """
     hand, seconds, seed = job
     chance = random.Random(f"free {seed}")
@@ -82,7 +82,7 @@ def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
         limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
         home = {name: chance.uniform(0, limit) for name, limit in limits.items()}
         goal = {"index": chance.uniform(25, 50)}
-        # Otherwise the middle finger and the thumb would touch each other.
+        # If both moved, the middle finger and the thumb would touch each other.
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:

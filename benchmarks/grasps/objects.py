@@ -1,8 +1,8 @@
 """Objects of the grasp benchmark with their positions and disturbances, fixed before any grasp was tuned.
 
-The sizes follow from the hand. An object of 42 mm fits between straight fingers and thumb, and a
-fingertip touches the thumb at about 25 mm from the palm. The seed of the noise also moves each
-object by up to 1 mm along x and 2 mm along y.
+The sizes of the objects follow from the hand. An object of 42 mm fits between straight fingers and
+thumb, and a fingertip touches the thumb at about 25 mm from the palm. The seed of the noise also
+determines a shift of each object by up to 1 mm along x and 2 mm along y.
 """
 
 import random
@@ -14,19 +14,23 @@ PUSH_N = 1.0
 PUSH_AT_S = 2.0
 PUSH_S = 1.0
 MAX_MOTION_M = 2e-3
-"""Largest motion of a held object within a stage [m]. An object that moves further counts as lost."""
+"""Largest motion of a held object within a stage [m]. A grasp whose object moves further has failed."""
 DOWN = {
     "power": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
     "pinch": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
     "hook": ((1, 0, 0), (0, -1, 0), (0, 1, 0)),
 }
-"""Directions of gravity: along the hinges, out of the palm, towards the thumb. For a hook they are across its bar."""
+"""Directions of gravity in the stages of each grasp.
+
+For power and pinch they are along the hinges, out of the palm, and towards the thumb. For a hook
+they are across its bar.
+"""
 SHAKE_M = (1e-3, 2e-3)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One object for one grasp: shape, full width [m], friction, mass [kg], centre x and y [m]."""
+    """One object for one grasp: grasp, shape, full width [m], friction, mass [kg], and x and y of its centre [m]."""
 
     grasp: str
     shape: str
@@ -61,7 +65,7 @@ class Case:
 
 
 def _power(shape: str, millimetres: float, friction: float, mass: float) -> Case:
-    """Place an object 2 mm in front of the palm, midway between fingers and thumb."""
+    """Return an object for a power grasp, 2 mm in front of the palm and midway between fingers and thumb."""
     return Case("power", shape, millimetres * 1e-3, friction, mass, (millimetres * 0.5e-3 + 2e-3, 0.0))
 
 

@@ -1,4 +1,4 @@
-"""Text, page and picture of the grasp benchmark."""
+"""Text output, page and picture of the results of the grasp benchmark."""
 
 from pathlib import Path
 from typing import Any
@@ -137,17 +137,17 @@ def _slip(rows: list[dict[str, Any]]) -> str:
 
 
 def _range(values: list[float], digits: int) -> str:
-    """Format the range of values. One number if smallest and largest look alike."""
+    """Format the range of values. Return one number if smallest and largest value have the same text."""
     ends = [f"{end:.{digits}f}" for end in (min(values), max(values))] if values else []
     return " to ".join(dict.fromkeys(ends))
 
 
 PARTS = {"success": _success, "payload": _payload, "contact": _contact, "tip": _tip, "slip": _slip}
-"""Function that writes the table of each part of the benchmark."""
+"""For each part of the benchmark, the function that writes its table."""
 
 
 def write(result: dict[str, Any]) -> None:
-    """Write the tables that were measured into the page, between their marks. Draw the picture if there are grasps."""
+    """Write each measured table into the page, between the marks of its part. Draw the picture if there are grasps."""
     page = PAGE.read_text("utf-8")
     for key, table in PARTS.items():
         if result.get(key):
@@ -162,7 +162,7 @@ def write(result: dict[str, Any]) -> None:
 
 
 def draw(result: dict[str, Any]) -> None:
-    """Draw the largest motion of each object, and the effect of the reaction to slip."""
+    """Draw a picture of the largest motion of each object, and of the effect of the reaction to slip."""
     import matplotlib as mpl
 
     mpl.use("Agg")

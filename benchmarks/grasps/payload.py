@@ -12,7 +12,7 @@ from handctl.programs.task import Hold
 PAPER_KG = 0.915
 """Payload in the source paper [kg], from 18 N and friction 0.5. Source: section 5 of the paper."""
 TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
-"""Tension of every tendon [N], at which each finger presses with about 6 N."""
+"""Tension of every tendon of a hand [N]. At this tension each finger presses with about 6 N."""
 ALONG = {
     "along the hinges": (0.0, 0.0, -1.0),
     "out of the palm": (1.0, 0.0, 0.0),
@@ -25,7 +25,11 @@ LAST_S = 20.0
 
 
 def try_load(job: tuple[str, str, int]) -> dict[str, Any]:
-    """Measure the payload of a hand for a direction and a seed [kg]. The load along the hinges includes the object."""
+    """Measure the payload of a hand in a direction, with a seed [kg].
+
+    Along the hinges the payload includes the mass of the object, because its weight acts in this
+    direction.
+    """
     hand, direction, seed = job
     case = CASES[1]
     load = f"[load]\ndirection = {list(ALONG[direction])}\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
@@ -46,7 +50,7 @@ def try_load(job: tuple[str, str, int]) -> dict[str, Any]:
 
 
 def _at(hand: str, tension: float) -> TaskProgram:
-    """Return the packaged power grasp at another tension, without reaction to slip."""
+    """Return the packaged power grasp with another tension and without the reaction to slip."""
     program = task_program("grasp", hand, hold_s=60.0)
     phases = [
         phase.model_copy(update={"tension_N": tension, "slip_limit_N": None, "stiffness_N_per_mm": 0.0})

@@ -1,4 +1,4 @@
-"""Motion of a held cylinder under a growing load, with and without reaction to slip."""
+"""Motion of a held cylinder under a growing load, with and without the reaction of the controller to slip."""
 
 from typing import Any
 
@@ -13,14 +13,17 @@ START_S = 6.0
 RATE_N_PER_S = 2.0
 LAST_S = 14.0
 SLIPPERY = {"jamia": 0.3, "jamia11": 0.2}
-"""Friction at which a grasp with 20 N per tendon loses the cylinder within the range of the load."""
+"""Friction of the cylinder, so low that a grasp with 20 N per tendon loses it within the range of the load."""
 TENSION_N = 20.0
 LIMIT_N = 60.0
 LOST_M = 10e-3
 
 
 def pull(job: tuple[str, bool, int]) -> dict[str, Any]:
-    """Measure the load [N] over the motion [mm], and the load at the loss, with or without reaction to slip."""
+    """Measure the curve of load [N] and motion [mm], and the load at which the cylinder is lost [N].
+
+    The job consists of hand, reaction to slip, and seed.
+    """
     hand, answered, seed = job
     scene = CASES[1].scene(seed, stages=False).replace("friction = 0.5", f"friction = {SLIPPERY[hand]}")
     scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
@@ -45,6 +48,6 @@ def pull(job: tuple[str, bool, int]) -> dict[str, Any]:
 
 
 def _first(run: Any, motion: np.ndarray, after: np.ndarray) -> float | None:
-    """Return the motion of the object at the first slip event [mm]."""
+    """Return the motion of the object at the first slip event [mm], or None if there is no such event."""
     ticks = [k for k, event in run.events if event.name == "slip" and k >= after[0]]
     return round(1e3 * float(motion[ticks[0] - after[0]]), 2) if ticks else None

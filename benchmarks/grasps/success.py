@@ -16,13 +16,16 @@ TASKS = {
     ("jamia11", "hook"): "hook",
 }
 PALM_GAP_M = 0.5e-3
-"""Smallest gap to the palm [m]. A pinched object that is nearer touches the palm."""
+"""Smallest gap between a pinched object and the palm [m]. A nearer object counts as drawn to the palm."""
 GIVE_UP_S = 10.0
-"""Time after which a grasp that does not hold its object has failed [s]."""
+"""Time in the run after which a grasp has failed if the hand does not hold the object [s]."""
 
 
 def try_case(job: tuple[str, int, int]) -> dict[str, Any]:
-    """Measure the largest motion of an object in each stage [mm]. Return the reason instead if the grasp failed."""
+    """Measure the largest motion of an object in each stage [mm].
+
+    If the grasp failed, the result also has the reason.
+    """
     hand, number, seed = job
     case = CASES[number]
     program = task_program(TASKS[hand, case.grasp], hand, hold_s=60.0)
@@ -36,7 +39,7 @@ def try_case(job: tuple[str, int, int]) -> dict[str, Any]:
 
 
 def failure(run: Run, case: Case, motion: list[float]) -> str:
-    """Describe why a grasp failed. Empty for a success."""
+    """Describe why a grasp failed. Return an empty string for a successful grasp."""
     if run.failure:
         return run.failure
     if run.dropped_at is None:

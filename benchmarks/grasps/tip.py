@@ -1,4 +1,4 @@
-"""Force at the tip of a digit: commanded, estimated by the controller, and true.
+"""Force at the tip of a digit: the commanded force, the estimate of the controller, and the true force.
 
 In a hold with ``tip_force_N``, the digits press on a wall that only their last links can reach. The
 controller computes the tensions from the Jacobian (`jamia11`, which measures joint angles) or from
@@ -20,7 +20,7 @@ JUDGED_S = 0.4
 
 
 def press(job: tuple[str, int]) -> list[dict[str, Any]]:
-    """Measure for a hand and a seed the mean commanded, estimated and true force of each digit and command [N]."""
+    """Measure the mean estimated and true force [N] of each digit at each commanded force, for a hand and a seed."""
     hand, seed = job
     chance = random.Random(f"tip {seed}")
     wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))

@@ -28,7 +28,7 @@ DEFAULT = Gains()
 
 @cache
 def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
-    """Return the model of a hand at its default rate. A process designs each model once."""
+    """Return the model of a hand at its default rate. Each process designs a model only once."""
     described = load_hand(hand)
     rate = highest_rate_of_buses(bus_loads(described))
     return HandModel.of(described, gains, rate), rate
@@ -39,20 +39,20 @@ class Run:
     """Record of a run, one row per tick.
 
     Attributes:
-        t: (ticks,) [s].
-        phase: (ticks,) names.
-        stage: (ticks,) stage of the scene.
+        t: (ticks,) time of each tick [s].
+        phase: (ticks,) name of the phase of the task.
+        stage: (ticks,) number of the stage of the scene.
         place: (ticks, 3) position of the object [m].
-        force: (ticks, D) contact force on each digit [N].
-        normal: (ticks, D) sum of normal forces, in scenes with a load [N].
-        contact: (ticks, D) contact reported by the controller.
-        tension: (ticks, N) [N].
-        external: (ticks, N) external tension [N].
-        travel: (ticks, N) tendon travel [m].
+        force: (ticks, D) true contact force on each digit [N].
+        contact: (ticks, D) contact that the controller reports.
+        tension: (ticks, N) tension that the controller estimates [N].
+        external: (ticks, N) external tension that the controller estimates [N].
+        excursion: (ticks, N) tendon excursion that the controller reports [m].
         q: (ticks, J) true joint angles [rad].
-        events: tick and event.
+        normal: (ticks, D) sum of the normal forces on each digit, in scenes with a load [N].
+        events: index of the tick and event, for each event.
         failure: reason why the controller ended the run.
-        dropped_at: time at which the table begins to sink [s].
+        dropped_at: time at which the table begins to sink [s], or None.
     """
 
     t: np.ndarray
@@ -75,7 +75,10 @@ class Run:
 
 
 def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgram:
-    """Return the program of a packaged task or a task file for a hand, with the duration of its holds [s]."""
+    """Return the program of a packaged task or a task file for a hand.
+
+    ``hold_s`` replaces the duration of each hold [s].
+    """
     packaged_task, _ = find_task(Path(task), load_hand(hand))
     phases = [
         phase.model_copy(update={"duration_s": hold_s}) if hold_s is not None and isinstance(phase, Hold) else phase
@@ -106,7 +109,7 @@ def simulate(
         perturb: factors on the parameters of the plant.
         until: the run ends when this phase begins.
         timeout: the run ends at this time [s].
-        give_up: the run ends at this time if the table has not begun to sink [s].
+        give_up: the run ends after this time if the table has not begun to sink [s].
     """
     model, rate = hand_model(hand, gains)
     controller = homed_controller(model, program)
@@ -147,7 +150,7 @@ def simulate(
 
 
 def _over(plant: Plant) -> bool:
-    """Return True if all stages of the scene have passed."""
+    """Return True if the run has passed all stages of the scene."""
     dropped = plant.table.dropped_at if plant.table else None
     return bool(plant.stages) and dropped is not None and plant.steps * STEP_S - dropped > plant.stages.duration
 

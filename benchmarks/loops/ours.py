@@ -39,7 +39,7 @@ class Stay:
 
 @dataclass
 class UnpacedClock:
-    """Clock without deadlines. The next tick begins when the replies to the last tick have arrived."""
+    """Clock without deadlines. The next tick begins when the bus has replies to the last tick."""
 
     fd: int
 
@@ -64,7 +64,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
         hand_name: name of a packaged hand.
         bus_name: name of the local bus.
         seconds: time with the hand active [s].
-        rate_hz: control rate [Hz]. None runs one tick after the other.
+        rate_hz: control rate [Hz]. With None, each tick starts when the last one has ended.
         log: path of a new file for the log.
 
     Returns:
@@ -107,7 +107,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
 
 
 class TimedTick:
-    """Tick that measures the wall time of its three steps [ns]."""
+    """Tick of the controller that measures the wall time of its three steps [ns]."""
 
     def __init__(self, controller, state, entry, took) -> None:
         began = _now()
@@ -129,7 +129,7 @@ class TimedTick:
 
 
 class Counter:
-    """Observer that counts the ticks with an active hand and ends the run."""
+    """Observer that counts the ticks with an active hand and ends the run after the requested time."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds

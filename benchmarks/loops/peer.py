@@ -17,7 +17,7 @@ ENABLED = 1
 
 
 class Echo:
-    """Replies of the simulated nodes, each computed once and then cached."""
+    """Replies of the simulated nodes. Each reply is computed only once and then cached."""
 
     def __init__(self, hand: str) -> None:
         self.rig = Rig(hand, homed=True)
@@ -25,7 +25,7 @@ class Echo:
         self.sync = self.rig.world.hand.sensors.sync_id
 
     def answer(self, frame: Frame) -> bytes:
-        """Return the replies to a frame as records."""
+        """Return the replies of the nodes to a frame, as records."""
         if frame.can_id != self.sync and (frame.can_id > 0xFF or frame.data.startswith(SPECIAL)):
             self.replies.clear()
             return b"".join(map(pack_record, self.rig.world.receive(frame)))
@@ -40,7 +40,7 @@ class Echo:
 
 
 def main(hand: str, name: str) -> None:
-    """Serve until the process is killed."""
+    """Reply to frames on the bus until the process is killed."""
     echo = Echo(hand)
     port = HubPort(name, 0)
     take_priority()

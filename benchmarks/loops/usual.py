@@ -19,7 +19,7 @@ DISABLE = b"\xff" * 7 + b"\xfd"
 
 
 def tendon_filter(dt: float) -> KalmanFilter:
-    """Return a Kalman filter of tension and its rate."""
+    """Return a Kalman filter whose state is the tension and its rate."""
     one = KalmanFilter(dim_x=2, dim_z=1)
     one.F = np.array([[1.0, dt], [0.0, 1.0]])
     one.H = np.array([[1.0, 0.0]])
@@ -29,13 +29,13 @@ def tendon_filter(dt: float) -> KalmanFilter:
 
 
 def command(torque: float) -> bytes:
-    """Encode a torque in the MIT frame of a Damiao motor, range 0.8 N m, with zero position, speed and gains."""
+    """Encode a torque in the MIT frame of a Damiao motor (range 0.8 N m), with zero position, speed and gains."""
     raw = round((torque + 0.8) / 1.6 * 4095)
     return bytes((0x80, 0x00, 0x80, 0x00, 0x00, 0x00, raw >> 8, raw & 0xFF))
 
 
 class BaselineLoop:
-    """Control loop on a python-can bus, tick by tick."""
+    """Hand-written control loop on a python-can bus, which runs tick by tick."""
 
     def __init__(self, hand_name: str, bus_name: str, log: Path) -> None:
         self.hand = load_hand(hand_name)
@@ -60,7 +60,7 @@ class BaselineLoop:
             pass
 
     def tick(self) -> None:
-        """Run one tick: send, read, filter, compute, log."""
+        """Run one tick: compute and send torques, read and filter the replies, and log them."""
         self.bus.send(can.Message(arbitration_id=self.sync, data=[self.k & 0xFF], is_extended_id=False))
         torque = pinocchio.rnea(self.model, self.data, np.zeros(self.model.nq), np.zeros(self.model.nv),
                                 np.zeros(self.model.nv))  # fmt: skip
@@ -81,7 +81,7 @@ class BaselineLoop:
         return -(-len(self.hand.sensor_node.joints) // 5)
 
     def take(self, message: can.Message, row: dict) -> None:
-        """Decode one reply."""
+        """Decode one reply and add its values to the row of the log."""
         if self.base <= message.arbitration_id < self.base + 0x10:
             bits = int.from_bytes(message.data, "little")
             first = 5 * (message.arbitration_id - self.base)
@@ -102,7 +102,7 @@ class BaselineLoop:
 
 
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run for some time, and return results like those of ``ours.run``."""
+    """Run the hand-written loop for some time, and return results like those of ``ours.run``."""
     loop = BaselineLoop(hand_name, bus_name, log)
     take_priority()
     loop.send_all(ENABLE)

@@ -1,1 +1,1 @@
-"""Common parts of the controller benchmarks: a trial on the simulated plant, and the page."""
+"""Common parts of the benchmarks of the controller: trials on the simulated plant, and the page with the results."""

@@ -21,7 +21,7 @@ COLUMNS = {
     "NIS": "nis",
     "whiteness": "whiteness",
 }
-"""Heading of each column, and the key of its values."""
+"""Heading of each column of the tables, and the key of its values in a result."""
 LEGEND = (
     "In the figure, *raw* and *filtered* are the load cell and the filter at the sample. *raw now*, *reference now* "
     "and *estimate* (of the filter) are the values at present."
@@ -83,7 +83,7 @@ def _wrong(plant: str, regimes_table: dict, regimes: list[str]) -> list[str]:
 
 
 def _conclusion(result: dict) -> str:
-    """Write the conclusion from the numbers."""
+    """Return the text of the conclusion, which follows from the numbers."""
     met = []
     missed = []
     strict = []
@@ -141,7 +141,10 @@ WHEN = {
 
 
 def _regimes_worse_than_raw(result: dict, ratio: str) -> str:
-    """List the regimes in which the raw cell is better, for the plant as known and for wrong stiffness."""
+    """List the regimes in which the raw load cell is better than the filter.
+
+    The plants are the known plant and plants with a wrong stiffness.
+    """
     rows = [
         (row[ratio], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
@@ -164,7 +167,7 @@ def _regimes_worse_than_raw(result: dict, ratio: str) -> str:
 
 
 def _otherwise_wrong(result: dict) -> str:
-    """List the regimes in which the raw cell is better on plants with other wrong parameters."""
+    """List the regimes in which the raw load cell is better on plants with other wrong parameters."""
     rows = [
         (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
@@ -190,7 +193,7 @@ def _otherwise_wrong(result: dict) -> str:
 
 
 def picture(result: dict) -> None:
-    """Draw bars by regime."""
+    """Draw the errors of the estimators as bars, by regime."""
     import matplotlib
 
     matplotlib.use("Agg")

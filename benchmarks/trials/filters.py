@@ -6,13 +6,16 @@ from scipy.linalg import solve_discrete_are
 from trials.lockstep import Array
 
 WEIGHTS = np.concatenate((np.arange(0.05, 0.5, 0.05), np.arange(0.5, 1.01, 0.1)))
-"""Weights of the newest sample. The best one is chosen afterwards."""
+"""Weights of the newest sample in the average. The best weight is chosen afterwards, from the true errors."""
 RATES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
-"""Spectral densities of the rate of the tension [N/s^1.5]. The best one is chosen afterwards."""
+"""Square roots of the spectral density of the noise of the tension rate [N/s^1.5].
+
+The best one is chosen afterwards.
+"""
 
 
 def averaged(raw: Array, weight: float) -> Array:
-    """Return the exponential average (ticks, N). A missing sample is skipped."""
+    """Return the exponential average of the samples (ticks, N) [N]. Missing samples are skipped."""
     smooth = np.empty_like(raw)
     last = np.nan_to_num(raw[0])
     for k, sample in enumerate(raw):
@@ -22,15 +25,15 @@ def averaged(raw: Array, weight: float) -> Array:
 
 
 def cell_alone(raw: Array, period: float, noise: float, rate: float) -> Array:
-    """Run a Kalman filter of tension and tension rate with only the load cell.
+    """Run a Kalman filter of tension and tension rate, whose only measurement is the load cell.
 
-    The result is the prediction for the present, (ticks, N).
+    The result is the tension that the filter predicts for the present, (ticks, N) [N].
 
     Args:
         raw: (ticks, N) samples, one period old [N].
         period: control period [s].
         noise: standard deviation of a sample [N].
-        rate: square root of the spectral density of the noise of the rate.
+        rate: square root of the spectral density of the noise of the tension rate [N/s^1.5].
     """
     F = np.array([[1.0, period], [0.0, 1.0]])
     Q = rate**2 * np.array([[period**3 / 3, period**2 / 2], [period**2 / 2, period]])

@@ -25,7 +25,7 @@ HIGH_N = 40.0
 RATE_N_PER_S = 5000.0
 HOLD_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
-"""Time at the end of a hold for the mean steady error [s], and band within which the force has settled [N]."""
+"""Time at the end of a hold that gives the steady error [s], and largest error of a settled force [N]."""
 TASK = {
     "schema": 1,
     "name": "force",
@@ -37,9 +37,9 @@ TASK = {
     ],
 }  # fmt: skip
 PLANTS = {plant: wrong for plant, wrong in plants.PLANTS.items() if "mass" not in wrong}
-"""Plants with wrong parameters. A wrong mass is left out, because the hand hardly moves."""
+"""Plants of the force step. Plants with a wrong mass are left out, because the hand hardly moves."""
 WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
-"""Gains of both loops: tension error and motor force of equal cost, and the integral gain.
+"""Gains of both force loops: tension error and motor force of equal cost [N], and the integral gain [1/s].
 
 These gains were not tuned.
 """
@@ -47,7 +47,7 @@ These gains were not tuned.
 
 @dataclass(frozen=True)
 class Loop:
-    """Configuration of the loop: gains that differ from the defaults, and the raw sensor or the estimate as input."""
+    """Configuration of a force loop: gains that differ from the defaults, and raw sensor or estimate as input."""
 
     motion: dict[str, float] = field(default_factory=dict)
     tension: dict[str, float] = field(default_factory=dict)
@@ -65,7 +65,7 @@ LOOPS = {
 
 
 def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
-    """Return the trial of one run."""
+    """Return the trial of a hand with a force loop, on a plant with a seed."""
     loop = LOOPS[law]
     fixed = {
         "force_N": FORCE_N * force_scale(RATES_HZ[hand]),
@@ -81,7 +81,10 @@ def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
 
 
 def judge(record: TrialRecord) -> dict[str, float]:
-    """Return mean overshoot [N], settling time [s], steady error [N], ripple [N] and RMSE [N] of both steps."""
+    """Return the figures of both force steps, as means over the tendons.
+
+    The figures are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
+    """
     tension = record.tension()
     in_contact = record.of_tendons(record.numbers["contact"] > 0)
     rows: dict[str, list[float]] = {name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")}
@@ -101,13 +104,13 @@ def judge(record: TrialRecord) -> dict[str, float]:
 
 
 def work(job: tuple) -> dict[str, Any]:
-    """Run one trial and return its figures, with the reason if it ended early."""
+    """Run one trial and return its figures. If the trial ended early, the figures include the reason."""
     record = run(trial(*job))
     return judge(record) | {"why": record.failure}
 
 
 def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) -> dict[str, Any]:
-    """Measure means over the seeds and the spread of the RMSE by hand, plant and law."""
+    """Measure the mean of each figure over the seeds and the spread of the RMSE, by hand, plant and law."""
     cases = [(hand, law, plant) for plant in PLANTS for hand in hands for law in LOOPS]
     counts = [seeds if plant == "as known" else wrong_seeds for _, _, plant in cases]
     jobs = [

@@ -48,7 +48,7 @@ def _cell(row: dict[str, Any] | None) -> str:
 
 
 def _conclusion(result: dict[str, Any]) -> str:
-    """Write the conclusion from the numbers."""
+    """Return the text of the conclusion, which follows from the numbers."""
     texts = []
     for hand, plants in result["hands"].items():
         none, raw, estimate = plants["as known"].values()

@@ -1,8 +1,8 @@
-"""Hands of the benchmarks: the packaged hands, and the same hands with more distance between their digits.
+"""Hands of the benchmarks: the packaged hands, and variants of these hands with more distance between their digits.
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
-finger touches the thumb. In the benchmarks of free motion the digits must not touch any object. The
-digits of these hands are therefore moved apart. All other properties of the hands are unchanged.
+finger touches the thumb. In the benchmarks of free motion the digits must not touch any object. In
+the variants the digits are therefore moved apart. All other properties of the hands are unchanged.
 """
 
 from functools import cache
@@ -12,23 +12,26 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content, hand_path, load_hand
 
 CLEAR_SUFFIX = ".clear"
-"""Suffix of the name of a packaged hand for its variant with free space around every digit."""
+"""Suffix in the name of the variant of a packaged hand that has free space around every digit."""
 SIDE_SUFFIX = ".side"
-"""Suffix for the variant that also lies on its side: gravity acts in the plane in which the digits flex."""
+"""Suffix in the name of the variant that also lies on its side.
+
+Gravity then acts in the plane in which the digits flex.
+"""
 SIDE_GRAVITY_M_S2 = [0.0, -9.81, 0.0]
 """Gravity in the frame of the palm [m/s2], from the fingers to the thumb.
 
 This gravity closes the fingers and opens the thumb.
 """
 FINGERTIP_LOAD = 10.0
-"""Factor on mass and inertia of the last links of a hand on its side. With this factor a fingertip has 21 g."""
+"""Factor on mass and inertia of the last links of a hand on its side. With this factor a fingertip weighs 21 g."""
 FORWARD_M, APART_M = 0.04, 0.1
-"""Distance of the digits from the palm, and from each digit to the next [m]."""
+"""Distance of the digits from the palm, and distance between neighbouring digits, in the variants [m]."""
 
 
 @cache
 def hand_by_name(name: str) -> Hand:
-    """Return a hand by its name in the benchmarks."""
+    """Return the hand that has a name in the benchmarks."""
     if not name.endswith((CLEAR_SUFFIX, SIDE_SUFFIX)):
         return load_hand(name)
     content = hand_content(packaged(name))
@@ -49,7 +52,7 @@ def packaged(name: str) -> str:
 
 
 def file_of(name: str, folder: Path) -> Path:
-    """Return the file of a hand, for the simulator."""
+    """Return the path of the hand file for the simulator. The file of a variant is written into the folder."""
     if not name.endswith((CLEAR_SUFFIX, SIDE_SUFFIX)):
         return hand_path(name)
     path = folder / f"{name}.toml"

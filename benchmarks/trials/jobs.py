@@ -1,4 +1,4 @@
-"""Runs of many jobs, in sequence or in parallel, with results in a folder from which a stopped benchmark continues."""
+"""Run many jobs in sequence or in parallel. A stopped benchmark continues from the results in a folder."""
 
 import hashlib
 import json
@@ -19,9 +19,10 @@ class Plan:
     """Options for running jobs.
 
     Attributes:
-        keep: folder in which the result of each job is stored (JSON) and looked up. None stores no result.
-        minutes: time after which no further job starts. The results of the other jobs are left out.
-        workers: number of processes. 0 starts one process per core.
+        keep: folder in which the result of each job is stored (JSON) and looked up. With None, no result is stored.
+        minutes: time after which no further job starts [min]. The results of the jobs that have not started are left
+            out.
+        workers: number of processes. With 0, one process per core is started.
     """
 
     keep: Path | None = None
@@ -30,7 +31,7 @@ class Plan:
 
 
 def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
-    """Return the results by job: the stored results, and those that can be computed within the time.
+    """Return the results by job: the stored results, and the results that can be computed within the time limit.
 
     Args:
         work: top-level function that computes one job. Its result consists of JSON values.
@@ -51,7 +52,7 @@ def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
 
 
 def _run(work: Work, jobs: list[Any], workers: int, until: float) -> Any:
-    """Yield (job, result) in order of completion. No job starts after the time limit."""
+    """Yield each job with its result, in order of completion. No job starts after the time limit."""
     if workers == 1 or len(jobs) < 2:
         for job in jobs:
             if time.monotonic() < until:
@@ -73,7 +74,7 @@ def _run(work: Work, jobs: list[Any], workers: int, until: float) -> Any:
 
 
 def _result_path(work: Work, job: Any, keep: Path) -> Path:
-    """Return the file of a job's result."""
+    """Return the path of the file in which the result of a job is stored."""
     digest = hashlib.sha256(repr(job).encode()).hexdigest()[:16]
     return keep / f"{work.__module__.rpartition('.')[2]}-{work.__name__}-{digest}.json"
 
@@ -94,7 +95,7 @@ def _keep(work: Work, job: Any, result: Any, plan: Plan) -> None:
 
 
 def _through_json(result: Any) -> Any:
-    """Return a result as read back from JSON: lists instead of tuples, rounded numbers."""
+    """Return a result as it would be read from JSON, with lists instead of tuples."""
     return json.loads(json.dumps(result))
 
 
@@ -108,5 +109,5 @@ def add_options(parser: Any) -> None:
 
 
 def plan_of(args: Any) -> Plan:
-    """Return the plan of the options."""
+    """Return the plan that the command-line options describe."""
     return Plan(args.keep, args.minutes, args.jobs)

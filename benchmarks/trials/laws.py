@@ -1,4 +1,4 @@
-"""Control laws of the ablation. Each control law adds one part of the model of the hand to the law before."""
+"""Control laws of the ablation. Each control law adds one part to the law before it."""
 
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -21,22 +21,22 @@ NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 
 
 def zero_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """Return zero feedforward torque, so that only feedback acts."""
+    """Return zero feedforward torque for each joint, so that only feedback acts."""
     return (0.0,) * digit.joint_count
 
 
 def statics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """Return the torque of gravity and springs."""
+    """Return the feedforward torque that balances gravity and springs."""
     return static_torque(digit, q)
 
 
 def springs(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """Return the torque of springs, without gravity."""
+    """Return the feedforward torque that balances the springs, without gravity."""
     return spring_torque(digit, q)
 
 
 def weightless(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """Return the torque of the inverse dynamics without gravity."""
+    """Return the feedforward torque of the inverse dynamics without gravity."""
     parts = zip(required_torque(digit, q, dq, ddq), static_torque(digit, q), spring_torque(digit, q), strict=True)
     return tuple(whole - static + spring for whole, static, spring in parts)
 
@@ -44,8 +44,9 @@ def weightless(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[f
 def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
     """Return the torque of Eq. 10 to 12 as printed in the paper, instead of the dynamics of the links.
 
-    The torques belong to absolute angles. This function maps them to the joints, which the paper does not describe, and
-    adds springs and damping, which the paper does not have. If a digit does not have a link, its terms are left out.
+    The torques belong to absolute angles. This function maps them to the joints, and adds the
+    torques of springs and damping. The paper describes neither this mapping nor springs and
+    damping. If a digit does not have a link, the terms of this link are left out.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):
@@ -67,7 +68,7 @@ def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[f
 
 
 FORCE_N = 20.0
-"""Motor force of the same cost as the errors in the weights [N]."""
+"""Motor force that has the same cost as the errors in the weights [N]."""
 
 
 def force_scale(rate_hz: float) -> float:
@@ -76,7 +77,10 @@ def force_scale(rate_hz: float) -> float:
 
 
 class RawTension(Controller):
-    """Controller whose control law uses the newest sample of the load cell, one period old, as the tension."""
+    """Controller whose control law uses the newest sample of the load cell as the tension.
+
+    The sample is one control period old. If it is missing, the control law uses the estimate.
+    """
 
     __slots__ = ()
 
@@ -88,7 +92,7 @@ class RawTension(Controller):
 
 
 def on_raw_tension(controller: Controller) -> Controller:
-    """Return the controller on the raw sensor."""
+    """Return a controller that is equal except that its control law uses the raw load cell."""
     return RawTension(**{each.name: getattr(controller, each.name) for each in fields(controller) if each.init})
 
 
@@ -107,7 +111,7 @@ class Law:
     raw: bool = False
 
     def gains(self, position_error_m: float, speed_error_m_s: float, rate_hz: float) -> Gains:
-        """Return gains with the two tuned weights.
+        """Return gains with the two tuned weights for a control rate.
 
         The other gains are fixed here, and do not depend on the packaged gains.
         """
@@ -117,7 +121,7 @@ class Law:
 
     @property
     def change(self) -> partial[Controller]:
-        """Return the function that changes the controller."""
+        """Return the function that changes the controller to this control law."""
         return partial(_changed, inverse=self.inverse, raw=self.raw)
 
 

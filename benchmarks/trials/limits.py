@@ -1,12 +1,13 @@
 """Error of a reference filter that is optimal for a fixed noise model.
 
-The result is no lower bound of the error. A filter for a plant with less noise, or a filter with
-more inputs, can have a smaller error.
+The result is no lower bound of the error. A filter for a plant with less noise can have a smaller
+error. So can a filter with more inputs.
 
-The state of each tendon has tendon travel and speed, excursion and its rate, Gauss-Markov forces on
-motor and joint, and the stretch offset. The measurements are load cell and encoder. The
+The state of each tendon consists of tendon travel and speed, excursion and its rate, Gauss-Markov
+forces on motor and joint, and the stretch offset. The measurements are load cell and encoder. The
 disturbances are constants of this module. The digit moves freely against its springs, or presses on
-a stiff object. ``scipy`` computes the filter, independent of the design in the controller.
+a stiff object. ``scipy`` computes this filter, independently of the filter design in the
+controller.
 """
 
 import numpy as np
@@ -21,14 +22,14 @@ JOINT_S = 0.02
 OFFSET_M = 0.2e-3
 OFFSET_S = 60.0
 CONTACT_N_M_PER_RAD = 40.0
-"""Stiffness of the held object, for all joints of a digit [N m/rad]. Source of all constants: MODEL, section 5."""
+"""Stiffness of the held object at all joints of a digit [N m/rad]. Source of all constants: MODEL, section 5."""
 CELL_DRIFT_VARIANCE_N2_PER_S = 1.0 / 100.0
-"""Drift of the load cells, a random walk: 1 N in 100 s. No filter can measure it while a tendon is taut."""
+"""Drift of the load cells, a random walk of 1 N in 100 s. No filter can observe this drift while a tendon is taut."""
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 
 def limit(model: HandModel, i: int, is_held: bool, encoder: bool = True) -> tuple[float, float]:
-    """Return the standard deviation of the tension of tendon i at the last sample and at present [N].
+    """Return the standard deviations of the tension of tendon i at the last sample and at present [N].
 
     The estimate of the controller is for the present, one period after the sample. The benchmark
     compares this estimate with both values.
@@ -37,7 +38,8 @@ def limit(model: HandModel, i: int, is_held: bool, encoder: bool = True) -> tupl
         model: hand and control rate.
         i: index of the tendon.
         is_held: True if the digit presses on an object.
-        encoder: True if the filter uses the encoder of the motor and the load cell.
+        encoder: True if the filter uses both the encoder of the motor and the load cell. False if it uses only the load
+            cell.
     """
     space = model.space
     arm = float(np.abs(model.hand.moment_arms[i]).sum())

@@ -32,7 +32,7 @@ Row = tuple[TickIn, TickOut, Array, State]
 
 
 def unchanged(controller: Controller) -> Controller:
-    """Return the controller unchanged."""
+    """Return the controller without a change."""
     return controller
 
 
@@ -44,10 +44,10 @@ class Trial:
         hand: name for ``hands.hand_by_name``.
         program: program of the controller.
         seed: seed of noise, drift and encoder offsets.
-        scene: scene of the simulator. None for a hand without an object.
+        scene: scene of the simulator. A hand without an object has None.
         perturb: factors on the parameters of the plant, which the controller does not use.
         gains: gains of the controller.
-        rate_hz: control rate [Hz]. 0 selects the default of the hand.
+        rate_hz: control rate [Hz]. With 0, the default of the hand is used.
         limit_s: longest time of the trial [s].
         change: function that changes the controller before the run. The function must be a
             top-level function, or a partial of a top-level function.
@@ -73,7 +73,7 @@ class TrialRecord:
         controller: controller of the run.
         t_ns: (ticks,) time of each tick [ns].
         phase: (ticks,) name of the phase.
-        numbers: telemetry by field, each (ticks, ..).
+        numbers: telemetry by name of the field, each array (ticks, ..).
         force: (ticks, N) motor force before each tick, an input of the filter [N].
         filtered: (ticks, N) estimated tension at the instant of the samples, one period before the tick [N].
         real: true values of the plant.
@@ -98,7 +98,7 @@ class TrialRecord:
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> Array:
-        """Return columns of the true values at each tick, or some time before each tick (ticks, names)."""
+        """Return columns of the true values at each tick, or a delay before each tick (ticks, names)."""
         return self.real.table(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> Array:
@@ -122,7 +122,7 @@ class TrialRecord:
 
 
 def run(trial: Trial) -> TrialRecord:
-    """Run a trial. Equal trials give equal records, to the bit."""
+    """Run a trial and return its record. Equal trials give records that are equal to the bit."""
     hand = hand_by_name(trial.hand)
     rate = trial.rate_hz or RATES_HZ[packaged(trial.hand)]
     controller = trial.change(make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True))
@@ -140,10 +140,12 @@ def run(trial: Trial) -> TrialRecord:
 
 
 def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
-    """Return the tensions before the prediction to the present (N,) [N], by undoing the prediction.
+    """Return the tensions at the instant of the samples (N,) [N], by undoing the prediction to the present.
 
     Args:
-        design: design of the filter. inputs: (N, 2) inputs in the tick. after: state after the tick.
+        design: design of the filter.
+        inputs: (N, 2) inputs of the filter in the tick.
+        after: state after the tick.
     """
     result = []
     states = after.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T

@@ -28,7 +28,7 @@ def write(part: str, text: str) -> None:
 
 
 def _parts(text: str) -> dict[str, str]:
-    """Split a page into its parts by name."""
+    """Split the page into its parts, and return them by name."""
     parts = {}
     for block in text.split("<!-- end of ")[:-1]:
         name, _, body = block.rpartition("<!-- ")[2].partition(" -->")

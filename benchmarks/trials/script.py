@@ -1,4 +1,4 @@
-"""A program of steps at fixed times, independent of contacts."""
+"""A program of steps at fixed times, which do not depend on contacts."""
 
 import math
 from dataclasses import dataclass, replace
@@ -15,15 +15,15 @@ from handctl.programs.program import Progress, motion_to
 
 @dataclass(frozen=True)
 class Step:
-    """One step of all digits.
+    """One step of a script, for all digits.
 
     Attributes:
         name: name of the phase in the log.
         lasts_s: time until the next step [s].
-        angle_deg: target angle of a move in ``move_s`` [deg]. None does not move.
+        angle_deg: target angle of a move that lasts ``move_s`` [deg]. With None, the step has no move.
         move_s: duration of the move [s].
-        tension_N: tension of a hold instead of a move [N]. None does not hold.
-        rate_N_per_s: rate of the tension [N/s].
+        tension_N: tension of a hold instead of a move [N]. With None, the step has no hold.
+        rate_N_per_s: rate of change of the target tension [N/s].
     """
 
     name: str
@@ -41,13 +41,13 @@ class Script:
     steps: tuple[Step, ...]
 
     def initial(self, model: HandModel) -> Progress:
-        """See ``Program``."""
+        """Return the initial progress, see ``Program``."""
         return LiveProgram().initial(model)
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """See ``Program``."""
+        """Advance to the present step, see ``Program``."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):

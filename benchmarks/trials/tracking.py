@@ -1,9 +1,9 @@
 """Ablation of the controller: tracking at three speeds and a force step, adding one part of the control law at a time.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``.
-The digits move from 0 to 60 degrees. The error is computed from the true mean joint angle of each
-digit, because one tendon can control only this mean. The plant has the effects of the hand files
-and of firmware_sim: capstan and motor friction, tendon elasticity and damping, current loop,
+The digits move from 0 to 60 degrees. The error is computed from the true mean of the joint angles
+of each digit, because one tendon can control only this mean. The plant has the effects of the hand
+files and of firmware_sim: capstan and motor friction, tendon elasticity and damping, current loop,
 encoder and load-cell resolution, noise, drift, one period of bus delay. These effects are the same
 for all control laws.
 
@@ -36,17 +36,17 @@ from trials.script import Script, Step
 
 HANDS = ("jamia", "jamia11")
 SPEEDS = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
-"""Duration of a motion of 60 degrees [s], minimum jerk."""
+"""Duration of a minimum-jerk motion of 60 degrees at each speed [s]."""
 ANGLE_DEG = 60.0
-"""Angle of a motion [deg]."""
+"""Angle at the end of a motion [deg]."""
 SETTLE_S = 0.5
-"""Time after a motion for the error to settle [s]."""
+"""Time after a motion in which the error may settle [s]."""
 BACK_S = 0.5
-"""Duration of the motion back [s]."""
+"""Duration of the motion back to 0 degrees [s]."""
 REST_S = 0.2
 """Time of rest after the motion back [s]."""
 AFTER_S = 0.05
-"""Time after a motion that counts as part of the motion [s]."""
+"""Time after a motion that still counts as part of the motion [s]."""
 BAND_DEG = 1.0
 """Largest error of a settled motion [deg]."""
 WEIGHTS = tuple(
@@ -54,26 +54,27 @@ WEIGHTS = tuple(
     for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 2), (0.8, 3), (1.2, 3), (1.5, 2), (1.5, 3), (1.5, 6), (2.2, 3),
                  (3, 3), (3, 6), (6, 6), (8, 6), (10, 10), (14, 10))
 )  # fmt: skip
-"""Candidates of the weights: position error [m] and speed error [m/s] of equal cost, for every law."""
+"""Candidates for the two weights of every law: position error [m] and speed error [m/s] of equal cost."""
 TUNING_SEED = 1000
 TUNED = Path(__file__).with_name("tuned.json")
 """File with the results of ``--tune`` for each pair of ``WEIGHTS``, by hand and control law.
 
-The results are the RMSE of the fast motion [deg], null if a motion did not reach its end, and True
-or False for a motion loop that keeps its margins. Each run has the slow, medium and fast motion,
-because weights that are best for a single motion may end a run with three motions.
+For each pair, the file has the RMSE of the fast motion [deg], or null if this motion did not reach
+its end. It also has True if the motion loop keeps its margins, otherwise False. Each run has the
+slow, medium and fast motion, because the best weights for a single motion may end a run with three
+motions.
 """
 PLAIN, SPRINGS_LAW, BEST, MISPRINTED = [list(LAWS)[i] for i in (0, 1, -2, -1)]
 COMPARED = (PLAIN, SPRINGS_LAW, BEST)
-"""Control laws that are also tried on plants with wrong parameters."""
+"""Control laws that are tried on plants with wrong parameters too."""
 CAREFUL = (PLAIN, SPRINGS_LAW, list(LAWS)[-4], BEST)
-"""Control laws that are also tried with the weights that keep their margins."""
+"""Control laws that are tried a second time, with the best weights that keep the margins."""
 PLANTS_DRAWN = 8
 """Number of random plants on which the margins must be kept."""
 
 
 def moves(speeds: tuple[str, ...]) -> Script:
-    """Return the motions: to the target angle and back, at each speed."""
+    """Return the script of the motions at each speed, to the target angle and back."""
     steps = []
     for speed in speeds:
         steps.append(Step(f"home {speed}", BACK_S + REST_S, angle_deg=0.0, move_s=BACK_S))
@@ -82,7 +83,7 @@ def moves(speeds: tuple[str, ...]) -> Script:
 
 
 def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: str, speeds: tuple[str, ...]) -> Trial:
-    """Return the trial of a law."""
+    """Return the trial of a law with two weights."""
     config = LAWS[law]
     return Trial(
         hand + CLEAR_SUFFIX,
@@ -96,7 +97,10 @@ def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: s
 
 
 def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Return for each speed RMSE, peak and steady tracking error [deg] and settling time [s] of the worst digit."""
+    """Return the figures of each speed for the worst digit in each figure.
+
+    The figures are RMSE, peak error and steady error of tracking [deg], and settling time [s].
+    """
     goal = mean_angles(record.hand, record.numbers["q_goal"])
     error = np.degrees(goal - mean_angles(record.hand, record.q()))
     result = {}
@@ -121,7 +125,10 @@ def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, f
 
 
 def work(job: tuple) -> dict[str, dict[str, float | str]]:
-    """Run one trial and return its figures. For a motion that did not end they are inf, with the reason."""
+    """Run one trial and return its figures.
+
+    For a motion that did not reach its end, all figures are inf, and the reason is added.
+    """
     record = run(trial(*job))
     result: dict = judge(record, job[-1])
     for speed in job[-1] if record.failure else ():
@@ -132,7 +139,11 @@ def work(job: tuple) -> dict[str, dict[str, float | str]]:
 
 
 def tune(plan: Plan) -> None:
-    """Try all weights for each law on each hand. Return the errors of the fast motion, and the weights with margins."""
+    """Try all weights for each law on each hand.
+
+    Print the errors of the fast motion and the weights that keep their margins. If all trials have
+    run, write both into the file ``TUNED``.
+    """
     jobs = [(h, law, w, TUNING_SEED, "as known", tuple(SPEEDS)) for h in HANDS for law in LAWS for w in WEIGHTS]
     results = collect(work, jobs, plan)
     table: dict = {"rmse_deg": {}, "keeps_margins": {}}
@@ -150,7 +161,7 @@ def tune(plan: Plan) -> None:
 
 
 def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
-    """Return True if the motion loop of every tendon has 6 dB and 45 degrees on plants around the hand file."""
+    """Return True if every motion loop has margins of 6 dB and 45 degrees on random plants around the hand file."""
     model = HandModel.of(hand_by_name(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand])
     plants = tuple(linear_factors(one) for one in draw_ensemble(PLANTS_DRAWN, 0))
     return keeps_required_margins(model, plants, (LoopKind.MOTION,))
@@ -159,8 +170,8 @@ def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
 def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
     """Return the best weights of a law.
 
-    With ``careful`` only weights that keep the margins are considered. If no such weights complete
-    the motions, the softest weights are returned.
+    If ``careful`` is True, only weights that keep the margins are considered. If no such weights
+    complete the motions, the softest weights are returned.
     """
     table = json.loads(TUNED.read_text("utf-8"))
     errors = table["rmse_deg"][hand][law]
@@ -170,7 +181,7 @@ def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
 
 
 def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, hands: tuple[str, ...] = HANDS) -> dict:
-    """Measure all figures: mean and spread over the seeds within the time."""
+    """Measure mean and spread of all figures over the seeds that the plan has time for."""
     cases = [(hand, law, "as known", False) for hand in hands for law in LAWS]
     cases += [(hand, law, "as known", True) for hand in hands for law in CAREFUL]
     for plant in list(PLANTS)[1:] if wrong_seeds else []:
@@ -199,7 +210,10 @@ def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, h
 
 
 def _over_seeds(rows: list[dict]) -> dict:
-    """Return the mean of each figure and the spread of the RMSE over complete runs, and the others with reasons."""
+    """Return the mean of each figure and the spread of the RMSE, over complete runs.
+
+    The result also has the number of incomplete runs and their reasons.
+    """
     whys = sorted({row["why"] for row in rows if "why" in row})
     good = [row for row in rows if np.isfinite(row["rmse_deg"])]
     names = [name for name in rows[0] if name != "why"]
@@ -231,7 +245,7 @@ def show(result: dict) -> None:
 
 
 def main() -> None:
-    """Measure all cases, print the results, and write the page."""
+    """Measure all cases and print the results. Write the weights or the page if the options say so."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one seed, fast motion, one hand (less than a minute)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")

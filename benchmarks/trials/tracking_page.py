@@ -12,9 +12,9 @@ FAULT_TEXTS = {
     "T02b": "a tendon stayed slack",
     "T01": "a tendon paid out without tension, which looks like a snapped tendon",
 }
-"""Cause of each fault that ended runs."""
+"""Explanation of each fault that has ended runs."""
 MIN_DEG = 0.03
-"""Smallest error on the axis of the picture [deg]."""
+"""Smallest error on the logarithmic axis of the picture [deg]."""
 
 
 def section(result: dict, named: tuple[str, str, str, str]) -> str:
@@ -22,7 +22,7 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
 
     Args:
         result: result of ``tracking.measure``.
-        named: laws PD alone, springs and gravity, best, misprinted.
+        named: names of four laws: PD alone, springs and gravity, the whole law, and the misprinted equations.
     """
     parts = ["## Tracking: benefit of each part of the control law", ""]
     parts += [
@@ -68,7 +68,7 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _table(title: str, laws: dict) -> str:
-    """Return a table with a row for each law."""
+    """Return a Markdown table with a row for each law."""
     speeds = list(next(iter(laws.values())))
     head = [title, *[f"{speed} [deg]" for speed in speeds], "peak [deg]", "steady [deg]", "settled [s]", "seeds"]
     rows = []
@@ -92,7 +92,7 @@ def _cell(row: dict[str, float]) -> str:
 
 
 def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
-    """Write the conclusion from the numbers."""
+    """Return the text of the conclusion, which follows from the numbers."""
     best, printed = (laws[name]["fast"] for name in named[2:])
     return (
         f"{_compared(laws, named)}. {_printed(printed, best)}\n\nEach entry is the error of "
@@ -102,7 +102,7 @@ def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
-    """Compare the whole law with PD, and with springs and gravity alone."""
+    """Describe the error of the whole law compared with PD, and with springs and gravity alone."""
     plain, springs, best = (laws[name]["fast"] for name in named[:3])
     ratio = plain["rmse_deg"] / best["rmse_deg"]
     gain = springs["rmse_deg"] - best["rmse_deg"]
@@ -117,7 +117,7 @@ def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _comparison_with_pd(ratio: float) -> str:
-    """Compare the whole law with PD."""
+    """Describe the error of the whole law compared with PD."""
     if not np.isfinite(ratio):
         return "The motions follow each other, from slow to fast. With PD alone, no run completes the fast motion"
     return (
@@ -127,12 +127,12 @@ def _comparison_with_pd(ratio: float) -> str:
 
 
 def _times(gain: float, spread: float, seeds: int) -> str:
-    """Return the gain in units of its spread, if there are enough seeds."""
+    """Describe the gain in accuracy in units of its spread, if there are enough seeds."""
     return f", which is {gain / max(spread, 1e-9):.0f} times the spread" if seeds > 1 else " (one seed: no spread)"
 
 
 def _steps(laws: dict) -> str:
-    """Describe the gain of each law over the one before [deg], and whether it exceeds twice the spread."""
+    """Describe the gain in accuracy of each law over the law before it [deg], compared with twice its spread."""
     texts = []
     old = laws[next(iter(laws))]["fast"]
     for law in list(laws)[1:-1]:
@@ -185,7 +185,7 @@ def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _costs(plants: dict, law: str) -> str:
-    """List the cost of the wrong plants for a law at the fast motion, largest first."""
+    """List how much each wrong plant raises the error of a law at the fast motion, largest rise first."""
     nominal = plants["as known"][law]["fast"]["rmse_deg"]
     more = {plant: laws[law]["fast"]["rmse_deg"] - nominal for plant, laws in plants.items() if law in laws}
     dear = sorted((plant for plant in more if plant != "as known"), key=lambda plant: -more[plant])
@@ -194,7 +194,7 @@ def _costs(plants: dict, law: str) -> str:
 
 
 def _end_reasons(plants: dict) -> str:
-    """List the reasons of ended runs by law."""
+    """List the reasons why runs ended early, by law."""
     texts: dict[str, set[str]] = {}
     for laws in plants.values():
         for law, speeds in laws.items():
@@ -214,7 +214,7 @@ def _end_reasons(plants: dict) -> str:
 
 
 def picture(result: dict) -> None:
-    """Draw bars of the fast motion."""
+    """Draw the errors of the fast motion as bars."""
     import matplotlib
 
     matplotlib.use("Agg")

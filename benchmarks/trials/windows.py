@@ -1,4 +1,4 @@
-"""Regime of each tendon at each tick, from true values: free, reversal, impact, hold, slack, beyond."""
+"""Regime of each tendon at each tick, from true values: free, reversal, impact, hold, beyond 200 N, slack."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,22 +6,22 @@ from numpy.typing import NDArray
 from trials.lockstep import Array, TrialRecord
 
 REVERSAL_S = 0.05
-"""Half width of the window around a reversal of the winding direction [s]."""
+"""Half width of the time window around a reversal of the winding direction [s]."""
 IMPACT_S = 0.1
 SETTLED_S = 0.3
-"""Time from the first contact until the tension has settled [s]."""
+"""Time from the first contact, after which the tension has settled [s]."""
 TAUT_N = 0.5
 TOUCH_N = 0.05
 SLACK_S = 0.05
 TURNING_RAD_S = 0.2
-"""Speed of the spool below which it has no direction [rad/s]."""
+"""Speed of the spool below which its direction is not counted [rad/s]."""
 KNEE_N = 200.0
 REGIMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
 Mask = NDArray[np.bool_]
 
 
 def windows(record: TrialRecord) -> dict[str, Mask]:
-    """Return a mask (ticks, N) for each regime. A tick belongs to one regime at most."""
+    """Return a mask (ticks, N) for each regime. For a tendon, each tick belongs to at most one regime."""
     tension = record.tension()
     t = record.times
     touched = record.of_tendons(record.contact_force() > TOUCH_N)
@@ -41,7 +41,7 @@ def windows(record: TrialRecord) -> dict[str, Mask]:
 
 
 def _since_rise(on: Mask, t: Array) -> Array:
-    """Return the time since each signal has become true after it was false for a while (ticks, N) [s]."""
+    """Return the time since each signal last became true, after it was false for ``SETTLED_S`` (ticks, N) [s]."""
     since = np.full(on.shape, np.inf)
     for i in range(on.shape[1]):
         rise = -np.inf

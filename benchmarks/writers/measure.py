@@ -1,4 +1,4 @@
-"""Measurement of all log writers: write the same run, read it back, print the cost."""
+"""Measurement of all log writers: each one writes the same run and reads it back, and the cost is printed."""
 
 import argparse
 import json
@@ -38,7 +38,7 @@ def main(about: str) -> None:
 
 
 def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
-    """Measure all numbers."""
+    """Measure the cost of all log writers, and continuous writing with handctl."""
     run = synthetic.header("jamia11", RATE_HZ)
     ticks = [as_in_the_loop(*tick) for tick in synthetic.Synthetic(run, seconds)]
     writers = {"handctl": ours(folder / "ours.mcap", run, ticks)}
@@ -60,14 +60,14 @@ def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
 
 
 def _spent(work: Callable[[], object]) -> float:
-    """Return the processor time [s]."""
+    """Return the processor time of a function [s]."""
     start = time.process_time()
     work()
     return time.process_time() - start
 
 
 def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
-    """Measure handctl: packing and passing on a record in the loop, and the recorder in the same process."""
+    """Measure handctl: packing and passing on records in the loop, and the log writer in the same process."""
     records: list[bytes] = []
     packing = _spent(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
@@ -90,7 +90,7 @@ def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
 
 
 def other(path: Path, make: Any, messages: list[Message], ticks: int) -> dict[str, float]:
-    """Measure another library. The other library writes in the loop, and reads all messages."""
+    """Measure another library, which writes in the loop and then reads all messages."""
     writer = make(path)
 
     def write() -> None:
@@ -121,7 +121,7 @@ def _row(loop: float, total: float, size: int, reading: float, ticks: int) -> di
 
 
 def decoded(path: Path) -> list[Message]:
-    """Return every message of a log as plain values."""
+    """Return every message of a log with its content as plain values."""
     messages = []
     factory = DecoderFactory()
     with path.open("rb") as file:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 
 class Message(NamedTuple):
-    """One message: topic, type, definition, time [ns], and its content as plain values."""
+    """One message: topic, type, definition of the type, time [ns], and content as plain values."""
 
     topic: str
     kind: str
@@ -20,7 +20,7 @@ class Message(NamedTuple):
 
 
 class Writer(NamedTuple):
-    """A log writer: functions that write one message, end the file, and read all messages."""
+    """A log writer: functions that write one message, close the file, and read all messages."""
 
     write: Callable[[Message], None]
     close: Callable[[], None]
@@ -28,7 +28,7 @@ class Writer(NamedTuple):
 
 
 def mcap_ros2(path: Path) -> Writer:
-    """mcap-ros2-support, with its own settings."""
+    """Return a writer of mcap-ros2-support with its default settings."""
     from mcap_ros2.reader import read_ros2_messages
     from mcap_ros2.writer import Writer as Ros2Writer
 
@@ -49,7 +49,10 @@ def mcap_ros2(path: Path) -> Writer:
 
 
 def rosbags(path: Path) -> Writer:
-    """rosbags: a folder with MCAP storage, each message as an object of its type."""
+    """Return a writer of rosbags.
+
+    It writes a folder with MCAP storage, and takes each message as an object of its type.
+    """
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as BagWriter
@@ -77,7 +80,7 @@ def rosbags(path: Path) -> Writer:
 
 
 def _object(store: Any, kind: str, content: dict[str, Any]) -> Any:
-    """Convert plain values to an object of the type store."""
+    """Convert plain values to an object of a type in the type store."""
     import numpy as np
 
     fields = {}
@@ -96,7 +99,7 @@ def _object(store: Any, kind: str, content: dict[str, Any]) -> Any:
 
 
 def json_mcap(path: Path) -> Writer:
-    """JSON in MCAP: json.dumps and the mcap package."""
+    """Return a writer of JSON in MCAP, with json.dumps and the package mcap."""
     from mcap.reader import make_reader
     from mcap.writer import Writer as McapWriter
 
@@ -124,7 +127,10 @@ def json_mcap(path: Path) -> Writer:
 
 
 def foxglove(path: Path) -> Writer:
-    """The Foxglove SDK, with its channels for dictionaries, which are written as JSON."""
+    """Return a writer of the Foxglove SDK.
+
+    It uses the channels of the SDK for dictionaries, which are written as JSON.
+    """
     import foxglove as sdk
     from mcap.reader import make_reader
 

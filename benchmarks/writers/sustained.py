@@ -1,8 +1,8 @@
 """Recorder with eleven motors and their frames at 1 kHz in real time: dropped ticks, and effect on the loop.
 
 The loop of the controller runs with prepared ticks, so that only the recorder affects its timing.
-Loop and recorder run on different cores. The same loop runs without a recorder before and after, to
-show the effect of other load.
+Loop and recorder run on different cores. Before and after, the same loop runs without a recorder,
+which shows the effect of other load.
 """
 
 import os
@@ -37,7 +37,7 @@ Tick = tuple[TickIn, TickOut]
 
 
 def sustained(path: Path, seconds: float) -> dict[str, Any]:
-    """Run for some time with the recorder, and half as long before and after without the recorder.
+    """Run the loop with the recorder. Run it before and after without the recorder, each for half the time.
 
     Args:
         path: path of the new log file.
@@ -65,7 +65,7 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
 
 
 def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
-    """Convert frames to records and telemetry to one array, as in the loop."""
+    """Convert frames to records and telemetry to one array, as in the loop of the controller."""
     places = {}
     at = 0
     for name, values in zip(TELEMETRY_FIELDS, out.telemetry, strict=True):
@@ -79,7 +79,7 @@ def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
 
 @contextmanager
 def _on_separate_cores(recorder: int) -> Iterator[bool]:
-    """Put loop and recorder on different cores if there are two. Return True if the loop has real-time priority."""
+    """Put loop and recorder on different cores if there are two. Yield True if the loop has real-time priority."""
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     if cores:
         os.sched_setaffinity(recorder, {max(cores)})
@@ -130,7 +130,7 @@ class _ReadyTick:
         return self.out.frames
 
     def conclude(self) -> tuple[int, TickOut]:
-        """Return the result."""
+        """Return the known result of the tick."""
         return self.state, self.out
 
 
@@ -141,7 +141,7 @@ def _loop(
     record: Callable[[TickIn, TickOut], None],
     events: Callable[[], list[IoEvent]],
 ) -> LoopStats:
-    """Run the controller's loop for a time."""
+    """Run the controller's loop for a time with prepared ticks, and return its statistics."""
     last = int(seconds * RATE_HZ)
 
     def begin(state: int, entry: TickIn) -> _ReadyTick:
@@ -155,7 +155,7 @@ def _loop(
 
 
 def _into(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
-    """Return the function that logs a tick."""
+    """Return a function that packs a tick and passes it to the recorder."""
 
     def record(entry: TickIn, out: TickOut) -> None:
         recorder.record(pack_tick_record(entry, out))

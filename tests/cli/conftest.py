@@ -1,4 +1,4 @@
-"""Working folder for every test: an empty folder, and short socket paths."""
+"""Fixture with the working folder of every test: an empty folder. Sockets have short paths."""
 
 import shutil
 import tempfile
@@ -9,7 +9,7 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def place(tmp_path, monkeypatch):
-    """Work in an empty folder, with sockets in a folder that has a short path."""
+    """Change to an empty folder. Sockets are in another folder with a short path."""
     sockets = Path(tempfile.mkdtemp(prefix="h-"))
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(sockets))
     monkeypatch.chdir(tmp_path)

@@ -1,17 +1,17 @@
-"""Error lines of a command with bad input."""
+"""Run commands with bad input, and return their error lines."""
 
 from handctl.cli.main import main
 
 
 def refused(capsys, *words):
-    """Return the one line that a command ends with."""
+    """Return the only error line that a command prints when it refuses its input."""
     lines = refused_lines(capsys, *words)
     assert len(lines) == 1, lines
     return lines[0]
 
 
 def refused_lines(capsys, *words):
-    """Return the lines that a command ends with, one for each mistake."""
+    """Return the error lines that a command prints when it refuses its input, one for each mistake."""
     assert main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""

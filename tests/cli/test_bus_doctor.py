@@ -1,4 +1,7 @@
-"""``handctl bus doctor``: findings about a bus and its nodes, with the command that repairs each."""
+"""Test ``handctl bus doctor``.
+
+It reports findings about a bus and its nodes, each with a command that repairs it.
+"""
 
 import json
 
@@ -36,7 +39,10 @@ def test_missing_interface_finding_has_the_set_up_command(capsys, words, said):
 
 
 def test_an_odrive_with_firmware_05_is_found(capsys):
-    """Regression: the doctor requested a version, which firmware 0.5 does not report, and the drive was missing."""
+    """Regression: the doctor asked drives for their version.
+
+    Firmware 0.5 sends no reply, so the drive counted as missing.
+    """
     with drives("local:d", "odrive", "--ids", "3", "--firmware", "0.5"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 0
     assert "odrive 3 answers 20 of 20" in capsys.readouterr().out

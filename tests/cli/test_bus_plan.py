@@ -1,4 +1,7 @@
-"""``handctl bus plan``: the computed load, and a proposed split that really fits."""
+"""Test ``handctl bus plan``: the bus load that it computes, and the buses that it proposes.
+
+The motors really fit on these buses.
+"""
 
 import json
 from pathlib import Path
@@ -19,7 +22,10 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     (bus,) = result["buses"]
     assert bus["tick_us"] == pytest.approx(4 * 270 + 125 + 65, rel=0.001), "commands, answers, tensions, SYNC"
     read_again = 4 * 2 * 135e-6 * 2.0
-    """A setting of each drive is read twice a second, with a request and a reply of 135 us each."""
+    """Bus load of the settings that are read again.
+
+    Each drive is asked twice a second, with a request and a reply of 135 us.
+    """
     assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + read_again)
 
 
@@ -71,7 +77,11 @@ VCAN_TABLE = [
     ("ODrive, torque and encoder", False, 4, 1055, (26, 53, 106), 758),
     ("ODrive, with torque feedback", False, 4, 1755, (44, 88, 176), 456),
 ]
-"""Microseconds per tick, load in percent at 250, 500, 1000 Hz, and the rate at 80 %, calculated without handctl."""
+"""Bus loads that were calculated without handctl.
+
+The numbers are the time per tick [us], the load at 250, 500 and 1000 Hz [%], and the rate at 80 %
+load [Hz].
+"""
 
 
 @pytest.mark.parametrize(("protocol", "fd", "motors", "tick_us", "loads", "most"), VCAN_TABLE)
@@ -103,7 +113,10 @@ def test_run_refuses_an_overloaded_bus(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_a_bus_too_slow_for_the_watchdogs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Include the computed rate: at 20 Hz one tick is as long as a watchdog of 50 ms."""
+    """A run is refused even at the rate that the bus can carry.
+
+    At this rate of 20 Hz, one tick is as long as a watchdog of 50 ms.
+    """
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))
     assert main(["run", "--hand", str(slow), "--bus", "local:nobody", "--dry-run"]) == 2
@@ -112,6 +125,6 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(tmp_path: Path, capsys: pyt
 
 @pytest.mark.parametrize(("bus", "code"), [("socketcan:can0", 2), ("pcan:PCAN_USBBUS1", 2), ("socketcan:vcan0", 0)])
 def test_real_motors_are_not_run_in_slow_motion(bus: str, code: int, capsys: pytest.CaptureFixture[str]) -> None:
-    """A loop designed for 2 ms that runs every 20 ms makes a real hand oscillate."""
+    """A control loop that is designed for ticks of 2 ms but runs every 20 ms makes a real hand oscillate."""
     assert main(["run", "--hand", "jamia", "--bus", bus, "--time-scale", "0.1", "--dry-run"]) == code
     assert ("may have real motors; expected 1, or" in capsys.readouterr().err) == bool(code)

@@ -1,4 +1,4 @@
-"""``handctl bus up``: the commands for each kind of interface, and refused inputs."""
+"""Test ``handctl bus up``: the commands that it runs for each kind of interface, and the inputs that it refuses."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""``handctl config export``: cantools reads the database of each bus, and MuJoCo reads the links."""
+"""Test ``handctl config export``: cantools reads the exported database of each bus, and MuJoCo the exported links."""
 
 import json
 
@@ -12,7 +12,7 @@ from tests.drives.protocol_bench import hand_file, on_two_buses
 
 
 def names(path):
-    """Return the messages of a file, read in strict mode."""
+    """Return the names of the messages in a DBC file, which cantools reads in strict mode."""
     return {message.name for message in cantools.database.load_file(path, strict=True).messages}
 
 

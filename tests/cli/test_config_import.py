@@ -1,4 +1,7 @@
-"""``handctl config init --urdf`` and ``--mjcf``: links are kept, and missing values are refused."""
+"""Test ``handctl config init --urdf`` and ``--mjcf``.
+
+The links of a description are imported, and values that it lacks are refused until they are given.
+"""
 
 import itertools
 import json
@@ -27,7 +30,7 @@ from tests.cli.refused import refused, refused_lines
 from tests.conftest import NIGHTLY
 
 TRIPOD = Path(__file__).with_name("tripod.urdf")
-"""Description of a hand with other frames, missing meshes, and joints that flex towards negative angles."""
+"""Description of a hand with unusual frames, missing meshes, and joints that flex towards negative angles."""
 ANSWERS = ["--tendons", "one", "--pulley", "6", "--spool", "8", "--tension", "80", "--strength", "600"]
 ANSWERS += ["--cells", "all", "--encoders", "none", "--protocol", "mit", "--first-node", "1"]
 MEASURED = {
@@ -54,26 +57,29 @@ MEASURED = {
     "position_range_rad": "12.5",
     "velocity_range_rad_s": "50.0",
 }
-"""Measured values of the tripod, which neither the description nor an option contains."""
+"""Values of the tripod that somebody must measure. Neither its description nor an option contains them."""
 JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_preload_rad")
-"""Keys of a digit that an exported URDF lacks."""
+"""Keys of a digit that are not in an exported URDF."""
 FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
 def text_with_all_values(text: str) -> str:
-    """Return the text of a file after every missing value was added."""
+    """Return the text of a hand file with a value in place of each TODO."""
     return re.sub(r'^(\w+) = "TODO".*$', lambda line: f"{line[1]} = {MEASURED[line[1]]}", text, flags=re.MULTILINE)
 
 
 def import_description(form: str, path: Path | str, *words: str) -> str:
-    """Return the text of mine.toml, imported from a description."""
+    """Import a description as mine.toml, and return the text of this file."""
     Path("mine.toml").unlink(missing_ok=True)
     assert main(["config", "init", "--yes", form, str(path), *words, "--output", "mine.toml"]) == 0
     return Path("mine.toml").read_text()
 
 
 def reimport_packaged_hand(form: str, name: str) -> Hand:
-    """Export a packaged hand, import it, and give it the tendons, springs and buses of the packaged hand."""
+    """Return a packaged hand that was exported and imported again.
+
+    Its tendons, springs and buses are those of the package.
+    """
     exported = Path(FORMS[form])
     exported.unlink(missing_ok=True)
     assert main(["config", "export", form, "--hand", name, "--output", str(exported)]) == 0
@@ -133,7 +139,7 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None
     tree = HandTree.of(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD))
     data = model.createData()
-    # The first finger of the file flexes towards negative angles.
+    # The first finger of the description flexes towards negative angles.
     signs = np.array([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
     assert [name for name in model.names if name != "universe"][:2] == ["finger_a_joint_1", "finger_a_joint_2"]
     rng = np.random.default_rng(0)
@@ -190,7 +196,7 @@ MASS = '<inertial><mass value="0.01"/><inertia ixx="1e-6" iyy="1e-6" izz="1e-6" 
 
 
 def urdf_of(joint: str, link: str = MASS, more: str = "") -> str:
-    """Return an URDF of one joint and one link with a tip."""
+    """Return a URDF text with one joint and one link with a tip."""
     return (
         f'<robot name="r"><link name="base"/><link name="a">{link}</link><joint name="j" {joint}>'
         f'<parent link="base"/><child link="a"/><axis xyz="0 0 1"/>'
@@ -199,7 +205,7 @@ def urdf_of(joint: str, link: str = MASS, more: str = "") -> str:
 
 
 def mjcf_of(body: str, more: str = "") -> str:
-    """Return an MJCF of one body."""
+    """Return an MJCF text with one body."""
     return f'<mujoco><worldbody><body name="a">{body}</body></worldbody>{more}</mujoco>'
 
 
@@ -225,7 +231,7 @@ BAD_DESCRIPTIONS = [
     ("--mjcf", mjcf_of(HINGE, '<equality><joint name="e" joint1="j"/></equality>'), "the equality e closes"),
     ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE}'), "body a has 2 joints; expected one hinge for each body"),
 ]  # fmt: skip
-"""Descriptions that are no hand, and the text of the error."""
+"""Options and texts that are not the description of a hand, and the text of the error."""
 
 
 @pytest.mark.parametrize(("form", "text", "said"), BAD_DESCRIPTIONS)

@@ -1,4 +1,4 @@
-"""A new hand file from a few answers passes `config check` for any answers."""
+"""A hand file that ``config init`` writes from a few answers passes `config check`, whatever the answers are."""
 
 import itertools
 import json

@@ -1,4 +1,4 @@
-"""Meshes on the command line: one line for each mistake, exports, and runs without a mesh."""
+"""Test meshes on the command line: one line for each mistake in them, their export, and runs without a mesh."""
 
 import shutil
 from pathlib import Path
@@ -34,12 +34,12 @@ from tests.hand.mesh_files import (
 from tools.meshes.solids import stl
 
 LINK_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
-"""Line of t42.toml with the meshes of both fingers."""
+"""Line of t42.toml that names the meshes of both fingers."""
 
 
 @pytest.fixture
 def own(place: Path) -> Path:
-    """Write the hand t42 with its meshes as mine/hand.toml."""
+    """Copy the hand t42 with its meshes to mine/hand.toml, and return the path."""
     (place / "mine").mkdir()
     shutil.copytree(PACKAGED_HANDS_FOLDER / "t42", place / "mine" / "t42")
     shutil.copy(PACKAGED_HANDS_FOLDER / "t42.toml", place / "mine" / "hand.toml")
@@ -47,7 +47,7 @@ def own(place: Path) -> Path:
 
 
 def replace_once(path: Path, old: str, new: str) -> None:
-    """Replace a part of a file that occurs once."""
+    """Replace a text in a file. The text must occur once."""
     text = path.read_text()
     assert text.count(old) == 1
     path.write_text(text.replace(old, new))
@@ -101,7 +101,7 @@ def test_each_mistake_is_one_line_that_names_the_key(
     assert own.read_text() != text
     lines = refused_lines(capsys, "config", "check", "--hand", "mine/hand.toml")
     assert line in lines[0]
-    # Both links of the fingers have the wrong scale.
+    # A wrong scale of the links is two mistakes, because both links of the fingers have it.
     assert len(lines) == (2 if new == "link_mesh_scale = 1" else 1), lines
 
 
@@ -177,7 +177,7 @@ def test_exported_meshes_come_back_to_their_places(
     assert main(["config", "init", "--yes", form, exported, "--output", "mine/mine.toml"]) == 0
     assert "warning" not in capsys.readouterr().out
     content = hand_content("mine/mine.toml")
-    # A hand that can be loaded, with the meshes of the import.
+    # The imported file lacks values. The packaged hand with the imported meshes can be loaded.
     known = hand.content
     digits = [
         {key: value for key, value in digit.items() if "mesh" not in key}
@@ -197,7 +197,7 @@ def test_exported_meshes_come_back_to_their_places(
 
 
 def write_ros_package(place: Path) -> Path:
-    """Write a hand as a ROS package with meshes, and return its URDF."""
+    """Write a ROS package with a hand and its meshes, and return the path of its URDF."""
     folder = place / "ws" / "gripper"
     (folder / "urdf").mkdir(parents=True)
     (folder / "meshes").mkdir()
@@ -216,7 +216,8 @@ def test_meshes_of_a_package_are_imported(
     assert not notes
     assert described.palm_mesh
     assert described.palm_mesh.file == "ws/gripper/meshes/base.stl"
-    # The frame of the palm and of each link, in the frame of the URDF, at angle zero.
+    # Compute the frames of the palm and of each link at angle zero, relative to the frame of the
+    # URDF.
     model = read_model_file(str(urdf), "urdf")
     palm = described.palm
     (base,) = model["palm_meshes"]

@@ -1,4 +1,7 @@
-"""Typical mistakes in a hand file of schema 2: each gives one line that names the key as the file spells it."""
+"""Test typical mistakes in a hand file of schema 2.
+
+Each gives one error line, which names the key as the file spells it.
+"""
 
 import json
 import re
@@ -110,11 +113,11 @@ MISTAKES = {
         "bus[main].data_bitrate: 500000; expected at least bitrate = 1000000",
     ),
 }  # fmt: skip
-"""Text of jamia11, the wrong text in its place, and the beginning of the error line."""
+"""For each mistake: a text of jamia11.toml, the wrong text that replaces it, and the beginning of the error line."""
 
 
 def write_changed_jamia11(place: Path, *edits: tuple[str, str]) -> None:
-    """Write mine.toml: jamia11 with texts replaced."""
+    """Write mine.toml, which is the file of jamia11 with some texts replaced."""
     text = hand_path("jamia11").read_text("utf-8")
     for old, new in edits:
         assert text.count(old) == 1, old
@@ -123,7 +126,7 @@ def write_changed_jamia11(place: Path, *edits: tuple[str, str]) -> None:
 
 
 def error_lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
-    """Return the error lines of `config check` without the name of the file."""
+    """Return the error lines of `config check` for mine.toml, without the name of the file."""
     assert main(["config", "check", "--hand", "mine.toml", *words]) == 2
     out, err = capsys.readouterr()
     assert out == ""

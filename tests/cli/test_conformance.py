@@ -1,4 +1,4 @@
-"""``handctl conformance`` on drives in another process: its output, the state of the drives afterwards, exit codes."""
+"""Test ``handctl conformance`` on drives in another process: output, exit codes, and the final state of the drives."""
 
 import json
 import threading
@@ -79,7 +79,7 @@ def test_a_text_option_needs_no_quotes(words, options):
 
 
 def test_an_odrive_of_firmware_05_needs_no_option(capsys):
-    """Regression: the verb's default torque_feedback was refused."""
+    """Regression: the command set the option torque_feedback by default, which this firmware refuses."""
     words = ["--protocol", "odrive", "--node", "3", "--option", "firmware=0.5", "--dry-run"]
     assert main([*WORDS, *words]) == 0
 
@@ -121,7 +121,10 @@ def test_missing_drive_is_reported(capsys):
 
 
 def test_drive_of_another_host_is_not_commanded(capsys):
-    """A CubeMars motor replies only to commands, so the verb must listen before it sends the first one."""
+    """A CubeMars motor replies only to commands.
+
+    The checks must therefore listen before they send the first command.
+    """
     with drives("local:c", "cubemars", "--ids", "33"):
         other, over = LocalBus("c", 0, int), threading.Event()
         heard, limp = [], Table(command_message(33, Ranges(12.5, 50.0, 18.0))).pack(0.0)

@@ -1,4 +1,4 @@
-"""Conditions for a success of ``handctl demo``, and hands that differ slightly from the packaged ones."""
+"""Test the conditions under which ``handctl demo`` succeeds, with hands that differ slightly from the packaged ones."""
 
 import json
 
@@ -32,7 +32,7 @@ def jamia():
 
 
 def two_fingers():
-    """Return index and middle finger, which close to the same side and can lift nothing."""
+    """Return a hand with index and middle finger only. Both close to the same side, so they can lift nothing."""
     content = jamia()
     for part in ("digit", "tendon", "motor"):
         content[part] = content[part][:2]
@@ -43,7 +43,7 @@ def two_fingers():
 
 
 def two_buses():
-    """Put the thumb and the ring finger on a second bus."""
+    """Return a hand whose thumb and ring finger are on a second bus."""
     content = jamia()
     content["bus"].append({**content["bus"][0], "name": "second"})
     for motor in content["motor"][2:]:

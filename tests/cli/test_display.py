@@ -1,4 +1,4 @@
-"""Lines that an operator sees during a run, from the display process."""
+"""Test the lines that the display process shows to an operator during a run."""
 
 from handctl.campaign.stage import homed_run
 from handctl.cli.console import display
@@ -11,7 +11,10 @@ RATE_HZ = 500.0
 
 
 def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
-    """A drive that loses power in motion latches faults. The terminal names the remedy of each fault once."""
+    """When a drive loses its power in motion, faults latch.
+
+    The terminal then names the remedy of each fault once.
+    """
     hand = load_hand("jamia")
     with homed_run(hand, RATE_HZ, 1) as simulation:
         assert simulation.until(lambda out: out.mode == Mode.ACTIVE, 3.0), simulation.state.failure
@@ -34,7 +37,7 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
 
 
 def test_only_a_fault_has_a_remedy(capfd) -> None:
-    """An event with another name prints no remedy, even if its text starts with the id of a fault."""
+    """An event that is no fault prints no remedy, even if its text starts with the id of a fault."""
     display = DisplayProcess(("index_tendon",), (80.0,), RATE_HZ, 0.5)
     try:
         fault = next(fault for fault in BY_ID.values() if fault.remedy)
@@ -48,7 +51,7 @@ def test_only_a_fault_has_a_remedy(capfd) -> None:
 
 
 def test_the_tensions_of_many_tendons_fit_into_the_width_of_a_terminal():
-    """Regression: the line of a hand with 17 tendons had 300 characters."""
+    """Regression: the line with the tensions of 17 tendons had 300 characters."""
     names = [f"finger_{number}_flexor_tendon" for number in range(17)]
     line = {"t": 1.0, "mode": "ACTIVE", "phase": "hold", "tension": [1.5 * number for number in range(17)]}
     rows = display._tension_lines(names, line).splitlines()

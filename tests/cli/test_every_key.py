@@ -1,4 +1,6 @@
-"""Every key of every input file with every kind of bad value: one line, exit code 2, no bus opened.
+"""Test every key of every input file with every kind of bad value.
+
+Each gives one error line and exit code 2, and no bus is opened.
 
 Ordinary runs test a sample, nightly runs test all cases.
 """
@@ -33,7 +35,7 @@ ALWAYS_WRONG = {
     "text": "12",
     "list": [[1.0]],
 }
-"""Values that are wrong in the place of any number."""
+"""Values that are wrong wherever a file has a number."""
 POSSIBLY_VALID = {
     "-0.0": lambda x: -0.0,
     "negative": lambda x: -abs(x),
@@ -80,11 +82,11 @@ FILES = {
     "pinch-joints": (task("pinch-joints"), ("--hand", "jamia11", "--task")),
     "trajectory": (trajectory(), ("--trajectory",)),
 }
-"""A good file, and the words of `handctl run` before its name."""
+"""For each kind of file, a good content, and the words of `handctl run` that precede its name."""
 
 
 def text_of(content):
-    """Return content as TOML, with nested tables written as dotted headers."""
+    """Return the content of a file as TOML text, with dotted headers for nested tables."""
     plain = {key: value for key, value in content.items() if not isinstance(value, dict)}
     lines = [toml_text(plain)]
     for key, value in content.items():
@@ -102,7 +104,7 @@ def _table(name, table):
 
 
 def without(content, path, instead=None):
-    """Return a copy without a key, or with the key under another name."""
+    """Return a copy of a content without a key, or with the key's value under another name."""
     content = with_value(content, path, None)
     parent = content
     for key in path[:-1]:
@@ -123,7 +125,7 @@ def cases():
 
 
 def text_with_mistake(content, path, kind):
-    """Return the text of the file with one mistake."""
+    """Return the text of a file with one kind of mistake at one key."""
     if kind in KEYS:
         old = content
         for key in path:
@@ -139,7 +141,7 @@ def text_with_mistake(content, path, kind):
 
 
 class OpenedError(Exception):
-    """The command was about to open a bus."""
+    """Error that is raised when the command opens a bus."""
 
 
 @pytest.fixture(autouse=True)
@@ -152,7 +154,7 @@ def no_bus(monkeypatch):
 
 
 def refusal(capsys, option, file):
-    """Return the error line of `run` for a file, empty if the command reaches the bus."""
+    """Return the error line of `run` for a file. It is empty if the command accepts the file and opens the bus."""
     others = [] if {"--task", "--trajectory"} & {*option} else ["--task", "grasp"]
     try:
         code = main(["run", "--bus", BUS, *option, file, *others])

@@ -1,4 +1,4 @@
-"""The example at the end of every help works when it is pasted into a shell."""
+"""The example at the end of each command's help works when it is pasted into a shell."""
 
 import importlib
 import os
@@ -21,19 +21,19 @@ EXAMPLES = {
     for words, example in importlib.import_module(f"handctl.cli.{folder}.arguments").EXAMPLES.items()
 }
 FINDINGS = {"doctor", "bus doctor"}
-"""Verbs that return 1 for a finding on the machine of the test."""
+"""Commands whose exit code may be 1, because they find a defect of the test's machine."""
 ALONE = sorted(words for words, example in EXAMPLES.items() if not example.beside)
 BESIDE_A_SIMULATOR = sorted(
     words for words, example in EXAMPLES.items() if example.beside and RUNNING_HAND not in example.beside
 )
 BESIDE_A_RUN = sorted(words for words, example in EXAMPLES.items() if RUNNING_HAND in example.beside)
 READY_S = 60.0
-"""Longest time for a simulator and a controller to start, with compilation."""
+"""Longest time in which a simulator and a controller start [s], including compilation."""
 
 
 @pytest.fixture(scope="module")
 def terminal():
-    """Run command lines as a shell does, in one folder, with the handctl of this environment."""
+    """Yield a function that runs a command line in one folder, with the handctl of this environment."""
     folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     environment = os.environ | {"PATH": path, "HANDCTL_RUN_DIR": str(sockets)}
@@ -43,7 +43,7 @@ def terminal():
 
 
 def paste(terminal, words):
-    """Paste the example of a verb, and check that it worked."""
+    """Run the example of a command in a shell, and check that it worked."""
     how = {"shell": True, "capture_output": True, "text": True, "timeout": 280, "check": False}
     ended = terminal(EXAMPLES[words].line, **how)
     assert ended.returncode in ({0, 1} if words in FINDINGS else {0}), ended.stderr
@@ -58,7 +58,7 @@ def test_an_example_works_in_one_terminal(terminal, words):
 
 @pytest.fixture
 def start_others(terminal):
-    """Start the commands of other terminals, and end them after the test."""
+    """Yield a function that starts a command as in another terminal. The commands are ended after the test."""
     children = []
 
     def start(command):
@@ -85,9 +85,9 @@ def test_examples_work_beside_a_simulator_and_a_running_hand(terminal, start_oth
     start_others(f"{simulator} --time-scale {SCALE * slower:g}")
     wait_for(terminal, "handctl fault kinds --bus local:demo")
     for words in BESIDE_A_SIMULATOR:
-        if words != "fault inject":  # the injected fault would disturb the run
+        if words != "fault inject":  # its fault would disturb the run
             paste(terminal, words)
-    for words in sorted(BESIDE_A_RUN, key=lambda one: one == "stop"):  # the run ends with stop
+    for words in sorted(BESIDE_A_RUN, key=lambda one: one == "stop"):  # ``stop`` is last
         if words == BESIDE_A_RUN[0]:
             start_others(run)
             wait_for(terminal, "handctl gains set motion.force_N=11 --bus local:demo")  # refused until commissioned

@@ -1,4 +1,4 @@
-"""Texts from files, logs and arguments are escaped and bounded in a terminal, and JSON is UTF-8."""
+"""A terminal shows texts from files, logs and arguments escaped and with a bounded length. JSON output is UTF-8."""
 
 import io
 import json
@@ -34,7 +34,7 @@ def is_harmless(text):
 
 
 def exit_code(words):
-    """Return the exit code of a command line, also of one that argparse refuses."""
+    """Return the exit code of a command line, even if argparse refuses the command line."""
     try:
         return main(words)
     except SystemExit as ended:
@@ -159,7 +159,7 @@ READS = {
 def test_texts_of_files_are_escaped_and_shortened(place, capsys, what, content):
     (place / "odd.toml").write_text(FILES[content])
     lines = refused_lines(capsys, *READS[what])
-    assert len(lines) == 1 or what == "hand"  # all mistakes of a hand file are reported together
+    assert len(lines) == 1 or what == "hand"  # a hand file may give several lines
     for line in lines:
         assert line[:-1].isprintable()
         assert len(line) < LONGEST_MESSAGE + 20
@@ -183,7 +183,7 @@ def test_a_name_and_a_note_are_escaped_where_all_is_well(place, capsys):
 
 
 WIDE = {"hex": "0x" + "f" * 5000, "decimal": "9" * 5000, "65 bits": str(2**64), "in a list": f"[1, [{2**64}]]"}
-"""Numbers that cannot be printed, or that are beyond the range of TOML."""
+"""Numbers that Python cannot print, or that are outside the range of TOML."""
 
 
 @pytest.mark.parametrize("number", WIDE)

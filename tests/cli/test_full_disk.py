@@ -1,4 +1,7 @@
-"""A full disk beside the log: each file that cannot be written gives one line, and nothing else is lost."""
+"""Test a full disk for the files beside the log.
+
+Each file that cannot be written gives one error line, and nothing else is lost.
+"""
 
 import json
 from pathlib import Path

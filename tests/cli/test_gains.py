@@ -1,4 +1,4 @@
-"""``handctl gains`` as a user calls it."""
+"""Test ``handctl gains`` with the command lines of a user."""
 
 import datetime
 import json
@@ -18,12 +18,12 @@ from tests.runtime.processes import scaled
 
 PACKAGED_N = Gains().motion.force_N
 SAME = f"tension.force_N={Gains().tension.force_N}"
-"""A setting without effect."""
+"""Setting of a gain to its present value, which has no effect."""
 
 
 @pytest.fixture
 def twice_changed_hand(place):
-    """Return a hand whose gains were changed twice."""
+    """Apply two gain files to the hand, one after the other."""
     for newtons in (25, 30):
         (place / "new.toml").write_text(f"schema = 1\n[motion]\nforce_N = {newtons}.0\n")
         assert main(["gains", "apply", "new.toml", "--note", f"{newtons} N"]) == 0
@@ -167,7 +167,8 @@ def test_set_on_a_running_hand_is_in_its_log(place, slower):
             assert run.wait(30.0) == 0
         finally:
             hand.terminate()
-    # A request without an answer from a starting controller may be executed later.
+    # A controller that is still starting may execute a request later, without a reply to the
+    # command.
     assert json.loads(said.stdout)["set"] in ({"motion.force_N": "26.0"}, {})
     with RunLog(log) as record:
         events = [event.event for event in record.events if event.event.name == "gain"]

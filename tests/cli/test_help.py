@@ -1,4 +1,4 @@
-"""Help, suggestions, renamed options, completion, and verbosity."""
+"""Test the command line's help, its suggestions, renamed options, completion, and verbosity."""
 
 import argparse
 import os
@@ -24,17 +24,17 @@ ONE_NAME = {
     "--picture": {"--png"},
     "--calibration": {"--fit"},
 }
-"""Options of several verbs, and names that no verb may use instead."""
+"""Options that several commands share, each with the names that no command may use instead."""
 
 
 def sub_parsers(parser: Parser) -> dict[str, Parser]:
-    """Return the parsers of the sub-verbs."""
+    """Return the parsers of a command's sub-commands by name."""
     found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     return dict(found[0].choices) if found else {}
 
 
 def leaves() -> dict[str, Parser]:
-    """Return the parser of each verb without sub-verbs, and of each sub-verb."""
+    """Return the parser of each sub-command, and of each command that has none."""
     found = {}
     for verb in VERBS:
         parser = verb_parser(verb)
@@ -104,7 +104,7 @@ def test_the_document_lists_the_renamed_options():
 
 
 def completions(tmp_path, line):
-    """Return the completions that a shell offers for an unfinished line."""
+    """Return the completions that a shell offers for an unfinished command line."""
     answer = tmp_path / "answer"
     environment = os.environ | {
         "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
@@ -153,7 +153,8 @@ def test_verbose_and_quiet_exclude_each_other(capsys):
 def test_quiet_leaves_the_findings_that_need_a_repair(capsys, monkeypatch):
     from handctl.cli.checks import doctor
 
-    # The lateness of wake-ups is measured anew each time.
+    # This finding stays equal in both calls. The command would measure the lateness of wake-ups
+    # again each time.
     finding = doctor._check_wakeups()
     monkeypatch.setattr(doctor, "_check_wakeups", lambda: finding)
     main(["doctor"])

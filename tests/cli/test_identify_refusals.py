@@ -1,4 +1,7 @@
-"""``handctl identify`` on hands without the needed sensors or springs: one line, before a bus is opened."""
+"""``handctl identify`` refuses hands without the needed sensors or springs with one line of text.
+
+It does so before it opens a bus.
+"""
 
 from pathlib import Path
 
@@ -9,7 +12,7 @@ from handctl.hand.load import hand_path, load_hand
 
 
 def jamia_without_load_cell(folder: Path) -> str:
-    """Write jamia without the load cell of its first tendon, and return the path."""
+    """Write the file of jamia without the load cell of its first tendon, and return its path."""
     text = hand_path("jamia").read_text()
     assert 'tendons = "all"' in text
     path = folder / "bare.toml"
@@ -19,7 +22,7 @@ def jamia_without_load_cell(folder: Path) -> str:
 
 @pytest.mark.parametrize("hand", ["n_plus_1", "orca_like"])
 def test_hands_without_return_springs_are_not_refused(hand: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Regression: one hand has no springs, and the other has spool pairs without load cells."""
+    """Regression: both hands were refused. One has no springs, and the other has spool pairs without load cells."""
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out
 

@@ -1,4 +1,7 @@
-"""A hand of `config init` grasps, holds and releases in lockstep. Ordinary runs test a sample, nightly runs all."""
+"""A hand that `config init` has written grasps, holds and releases in lockstep.
+
+By day only a sample of such hands is tested.
+"""
 
 import itertools
 import json
@@ -26,12 +29,15 @@ CASES = [
     if tendons == "one" or "," in links
 ]
 SAMPLE = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1)]
-"""Regression: both hands dropped the cylinder, because its size did not depend on the hand and fingertips met."""
+"""Regression: both hands dropped the cylinder.
+
+Its size did not depend on the hand, so the fingertips touched each other.
+"""
 MAX_SLIP_MM = 5.0
 
 
 def init(*words: str) -> None:
-    """Write mine.toml from options."""
+    """Write mine.toml with `config init` and given options."""
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
 
 
@@ -51,7 +57,7 @@ def test_new_hand_grasps_holds_and_releases(
     truth = read_truth(place / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert forces
-    # Nothing touches a digit at the end: the object lies on the table.
+    # At the end no digit touches anything, because the object lies on the table.
     assert abs(truth.table(forces, truth.t_ns[-1:])).max() == 0.0
 
 

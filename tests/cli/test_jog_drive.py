@@ -1,4 +1,4 @@
-"""``handctl jog --mode`` on drives in another process, and refused inputs."""
+"""Test ``handctl jog --mode`` on drives in another process, and the inputs that it refuses."""
 
 import json
 

@@ -1,4 +1,7 @@
-"""The demo in virtual time: repeatable to the byte, all checks pass, and other tools read its log."""
+"""Test the demo in virtual time.
+
+Its files repeat to the byte, all its checks pass, and other tools can read its log.
+"""
 
 import json
 import os
@@ -23,10 +26,13 @@ KEYS = {
 
 
 def run_demos(folder, *hands, task=""):
-    """Return the results of lockstep demos, run in parallel processes, with a task instead of the grasp on request."""
+    """Run lockstep demos of hands in parallel processes, and return the folder and the result of each.
+
+    A given ``task`` replaces the grasp.
+    """
     running = []
     for number, hand in enumerate(hands):
-        time.sleep(1.1 * number)  # the runs start in different seconds
+        time.sleep(1.1 * number)  # runs start in different seconds
         place = folder / str(number)
         place.mkdir()
         command = [sys.executable, "-m", "handctl.cli", "demo", "--lockstep", "--json", "--log", "run.mcap"]
@@ -46,7 +52,7 @@ def run_demos(folder, *hands, task=""):
 
 @pytest.fixture(scope="module")
 def equal_demos(tmp_path_factory):
-    """Return two equal demos: a short motion in ordinary runs, a grasp in nightly runs."""
+    """Return the results of two equal demos. By day they are a short motion, at night a grasp."""
     return run_demos(
         tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT
     )
@@ -54,18 +60,18 @@ def equal_demos(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def default_demo(tmp_path_factory):
-    """Return the demo with the default hand."""
+    """Return the folder and the result of the demo with the default hand."""
     return run_demos(tmp_path_factory.mktemp("default_demo"), "jamia")[0]
 
 
 @pytest.fixture(scope="module")
 def jamia11_demo(tmp_path_factory):
-    """Return the demo of the hand with one motor per joint."""
+    """Return the folder and the result of the demo with jamia11, which has one motor per joint."""
     return run_demos(tmp_path_factory.mktemp("jamia11_demo"), "jamia11")[0]
 
 
 def messages_of(path):
-    """Return topic, time and data of every message, in the order of the file."""
+    """Return the topic, time and data of every message in a log, in the order of the file."""
     with path.open("rb") as file:
         messages = make_reader(file).iter_messages(log_time_order=False)
         return [(channel.topic, message.log_time, message.data) for _, channel, message in messages]
@@ -113,7 +119,7 @@ def meets_requirements(result):
 
 @pytest.mark.nightly
 def test_the_demo_meets_its_requirements(default_demo):
-    """jamia11 is tested in tests/cli/test_seeds.py."""
+    """tests/cli/test_seeds.py tests the demo with jamia11."""
     result = default_demo[1]
     meets_requirements(result)
     assert result["tension_rmse_n"] < result["tension_raw_rmse_n"]

@@ -1,4 +1,4 @@
-"""Invalid files and invalid numbers: one line and exit code 2 for every verb that accepts them."""
+"""Invalid files and invalid numbers give one error line and exit code 2 in every command that takes them."""
 
 import json
 import os
@@ -111,7 +111,10 @@ def test_invalid_number_is_refused(capsys, words):
 
 
 def test_campaign_of_rows_without_scenarios_is_refused(capsys):
-    """CiA 402 reports no temperature, so no scenario exists, which is not a success."""
+    """CiA 402 drives report no temperature, so the row N09 has no scenario for them.
+
+    A campaign without scenarios is no success.
+    """
     words = ("fault", "campaign", "--protocol", "cia402", "--calm", "0", "--row", "N08", "--row", "N09")
     assert "'N09'" in refused(capsys, *words)
 

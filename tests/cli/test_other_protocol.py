@@ -1,4 +1,7 @@
-"""--protocol: a simulated hand with other drives, for the demo and for a controller beside the simulator."""
+"""Test the option --protocol.
+
+It gives a simulated hand other drives, in the demo and for a controller beside the simulator.
+"""
 
 import argparse
 import json

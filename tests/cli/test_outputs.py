@@ -1,4 +1,4 @@
-"""An output is written completely or not at all, and never replaces a log, a folder or a device."""
+"""A command writes an output completely or not at all. An output never replaces a log, a folder or a device."""
 
 import os
 import stat
@@ -33,7 +33,7 @@ NOWHERE = {
 
 @pytest.fixture(autouse=True)
 def existing_files(place):
-    """Create the files that exist before the command."""
+    """Create files that exist before a command. Check that it has not changed them."""
     for name in ("folder", "folder.rrd"):
         (place / name).mkdir()
         (place / name / "mine").write_text("mine")
@@ -50,7 +50,7 @@ def everything(place):
 
 
 CASES = [(what, name) for what in NOWHERE for name in ("folder", "no-folder/x", "file/x", "other.mcap")]
-CASES.remove(("save", "other.mcap"))  # save writes other.mcap.rrd instead
+CASES.remove(("save", "other.mcap"))  # ``save`` writes to other.mcap.rrd
 
 
 @pytest.mark.parametrize(("what", "name"), CASES)
@@ -64,7 +64,7 @@ def test_unwritable_output_path_is_refused(capsys, what, name):
 
 
 def inputs(place):
-    """Create a log with another suffix, gains, and a truth file."""
+    """Create a log under the names log.html and log.png, and a hand file."""
     for name in ("log.html", "log.png"):
         (place / name).write_bytes(GOLDEN.read_bytes())
     (place / "hand.toml").write_text(hand_path("jamia").read_text())

@@ -14,7 +14,7 @@ LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-lost.mcap")
 
 
 def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
-    """Return standard output, and the text that a terminal showed of standard error."""
+    """Run a command whose standard error is a terminal. Return its standard output, and the text on the terminal."""
     shown, terminal = pty.openpty()
     command = [sys.executable, "-m", "handctl.cli", *words]
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
@@ -24,7 +24,7 @@ def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
         try:
             while part := os.read(shown, 4096):
                 error_output += part
-        except OSError:  # Linux says so that nobody has the other end any more
+        except OSError:  # the command has closed its end
             pass
         assert process.stdout
         out = process.stdout.read()

@@ -1,4 +1,7 @@
-"""A bus that may have real motors: no default hand, one question before a motion, and a list of the files in use."""
+"""Test commands on a bus that may have real motors.
+
+They have no default hand, ask one question before a motion, and list the files that they use.
+"""
 
 import datetime
 import io
@@ -35,14 +38,17 @@ GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 @pytest.fixture(autouse=True)
 def files(place, monkeypatch):
-    """Create the files that the verbs read before they open the bus. Standard input is no terminal."""
+    """Create the files that commands read before they open the bus.
+
+    Make standard input something other than a terminal.
+    """
     (place / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 25.0\n")
     monkeypatch.setattr("sys.stdin", io.StringIO())
 
 
 @pytest.fixture(params=MOVES)
 def words(request, place):
-    """Return the words of a verb that moves a hand, with the log that ``replay`` reads."""
+    """Return the words of a command that moves a hand. Create the log that ``replay`` reads."""
     if request.param == "replay":
         (place / "before.mcap").symlink_to(GOLDEN)
     return MOVES[request.param]
@@ -71,7 +77,7 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
 
 
 def at_a_terminal(answer: str) -> tuple[int, str]:
-    """Run a verb from a terminal and answer its question. Return the exit code and the text on the terminal."""
+    """Run a command in a terminal and answer its question. Return its exit code and the text on the terminal."""
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "handctl.cli", "run", *HAND, "--bus", "socketcan:nosuch"]
     process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True)
@@ -80,7 +86,7 @@ def at_a_terminal(answer: str) -> tuple[int, str]:
     while time.monotonic() < end and select.select([ours], [], [], 60.0)[0]:
         try:
             piece = os.read(ours, 4096).decode()
-        except OSError:  # the other end is closed
+        except OSError:  # the command has closed its end
             break
         shown += piece
         if "[y/N]" in shown and not answered:

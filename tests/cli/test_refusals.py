@@ -1,6 +1,6 @@
-"""Bad input to any verb is one line on standard error and exit code 2, before a bus is opened.
+"""Bad input to any command gives one line on standard error and exit code 2, before a bus is opened.
 
-Nobody serves the bus of these cases. A verb that opened it would end with exit code 1.
+No hub serves the bus of these cases. A command that opened it would end with exit code 1.
 """
 
 import tomllib
@@ -15,7 +15,7 @@ from tests.cli.refused import refused
 BUS = ("--bus", "local:does-not-exist")
 GRASP = ("--task", "grasp.toml")
 RUNS = {"run": GRASP, "commission": (), "jog": ("index", "--tension", "8")}
-"""Verbs that open a bus, with the words they need."""
+"""Commands that open a bus, with the further words that they need."""
 
 
 @pytest.fixture(autouse=True)
@@ -150,7 +150,7 @@ def test_existing_log_is_not_overwritten(place, capsys, verb, log):
 
 
 def two_buses():
-    """Write jamia with its thumb on a second bus."""
+    """Write the file of jamia with its thumb on a second bus."""
     content = jamia()
     content["bus"].append({"name": "thumb", "bitrate": 1_000_000})
     content["motor"][3]["bus"] = "thumb"
@@ -263,7 +263,7 @@ def test_unknown_verb_is_refused(capsys):
 
 @pytest.mark.parametrize("verb", ["stop", "clear"])
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
-    """Regression: the exit code was 0 as soon as a datagram was sent."""
+    """Regression: the exit code of the command was 0 as soon as it had sent its datagram."""
     assert main([verb, *BUS]) == 71
     out, err = capsys.readouterr()
     expected = (

@@ -1,4 +1,4 @@
-"""The advice to slow down time is shown only for a simulated hand that is too slow."""
+"""The advice to slow down time is shown only for a simulated hand that the machine simulates too slowly."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -19,7 +19,7 @@ LATE, TORN = ("B03b", "N02"), ("T01",)
 
 
 def run_with_faults(*rows: str, cpu_s: float = 0.0) -> Outcome:
-    """Return a run that ended with these faults."""
+    """Return the outcome of a run that ended with given faults. Its loop took ``cpu_s`` of processor time [s]."""
     latched = [SimpleNamespace(id=row) for row in rows]
     state = SimpleNamespace(latched=latched, failure="fault" if rows else "", k=1000)
     return Outcome(cast(State, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
@@ -56,7 +56,10 @@ def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tu
 def test_the_advised_pace_is_measured(
     monkeypatch: pytest.MonkeyPatch, cpu_s: float, capacity: float | None, advice: float | None, number: float
 ) -> None:
-    """Regression: the advice was always 0.5. This run took 2 s for 1000 ticks at 500 Hz."""
+    """The advised time scale follows from the run, here of 1000 ticks at 500 Hz in 2 s.
+
+    Regression: it was always 0.5.
+    """
     answer = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: answer if question == {"pace": True} else {})
     monkeypatch.setattr(pace, "usable_cores", lambda: 2)

@@ -1,4 +1,7 @@
-"""A drive that does not confirm that it is disabled: every verb ends with 71, also after other errors."""
+"""Test a drive that does not confirm that it is disabled.
+
+Every command then ends with exit code 71, even after other errors.
+"""
 
 import pytest
 
@@ -17,7 +20,7 @@ FAILURE = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_mo
 
 
 def left_enabled(plan, controller, log):
-    """Return a run after which a motor may have torque."""
+    """Return the outcome of a run after which a motor may still have torque."""
     state = controller.initial()
     state.decide(failure=FAILURE, unconfirmed=("index_motor",))
     return Outcome(state, LoopStats(), {}, None, 0)
@@ -42,7 +45,7 @@ def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(place, monkeyp
 
 
 class Bus:
-    """A bus that accepts all frames and delivers none."""
+    """A bus that accepts all sent frames and delivers none."""
 
     def send(self, frames):
         return len(frames)

@@ -1,4 +1,4 @@
-"""The verbs for recorded runs, as a user calls them."""
+"""Test the commands for recorded runs with the command lines of a user."""
 
 import json
 import re
@@ -127,7 +127,7 @@ def test_result_of_an_incomplete_log_is_marked(
 
 
 class Page(HTMLParser):
-    """Collect the addresses that a page would load."""
+    """Parser of a web page that collects the addresses that the page would load."""
 
     def __init__(self) -> None:
         super().__init__()

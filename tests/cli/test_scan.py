@@ -1,4 +1,8 @@
-"""``handctl scan``: finds the nodes of a bus, moves nothing, and sends no frame that another drive would obey."""
+"""Test ``handctl scan``.
+
+It finds the nodes of a bus, moves no motor, and sends no frame that a drive of another protocol
+would obey.
+"""
 
 import json
 import tomllib
@@ -23,7 +27,7 @@ from tests.drives.protocol_bench import hand_file
 
 
 class BenchBus:
-    """Simulated drives as a bus. Each read advances time."""
+    """A bus with simulated drives, and with the frames ``talk`` of another host."""
 
     name = "bench"
 
@@ -155,7 +159,10 @@ def test_scan_only_listens_if_another_host_is_active(talk):
 
 
 def test_scan_reports_no_firmware_if_another_host_is_active():
-    """Regression: an ODrive 0.6 without a reply was reported as firmware 0.5."""
+    """Beside another host, a scan sends no requests.
+
+    Regression: an ODrive 0.6 without a reply was reported as firmware 0.5.
+    """
     request = Frame(3 << 5 | 0x09 | REMOTE, b"")
     result, _, bus = scan_bench(("odrive", 3), talk=[request])
     assert bus.heard == []
@@ -191,7 +198,10 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 
 
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
-    """A DM-J8009 reports 54 N m. The fragment has the largest permitted torque and a comment."""
+    """A DM-J8009 motor reports 54 N m.
+
+    The printed part of a hand file has the largest permitted torque and a comment.
+    """
     result, _, _ = scan_bench(("mit", 1, "dm8009"))
     text = hand_file_snippet({"a": result.found}, 1_000_000, None)
     assert "torque_max_N_m = 50.0    # the drive reports 54, a hand file takes at most 50" in text
@@ -225,7 +235,7 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 
 
 def test_no_scan_request_enables_torque():
-    """Send every request to drives that are enabled at zero torque."""
+    """Drives that are enabled at zero torque get every request of a scan. None makes a torque."""
     bench = Bench([drive_spec("mit", node) for node in (1, 2)] + [drive_spec("cia402", node) for node in (1, 32)])
     for node in (1, 2):
         bench.receive(SimFrame(node, b"\xff" * 7 + b"\xfc"))

@@ -1,4 +1,7 @@
-"""The demo in lockstep with every packaged hand, every protocol and 20 seeds. Ordinary runs test a sample."""
+"""Test the demo in lockstep with every packaged hand, every drive protocol and 20 seeds.
+
+By day only a sample is tested.
+"""
 
 import os
 
@@ -11,9 +14,12 @@ from handctl.hand.load import packaged_hands
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 CASES = [(hand, protocol, seed) for hand in packaged_hands() for protocol in ALL_PROTOCOLS for seed in range(20)]
 SAMPLE = [("jamia11", "mit", 7), ("t42", "mit", 3)]
-"""Regression: the first case ended with N04 in commissioning. The second hand has two digits.
+"""Cases that are tested by day.
 
-tests/runtime/test_lockstep_again.py has a second run of CiA 402 drives.
+Regression: the first case ended with the fault N04 in commissioning. The hand of the second case
+has two digits.
+
+tests/runtime/test_lockstep_again.py runs CiA 402 drives twice.
 """
 
 

@@ -1,4 +1,4 @@
-"""Logs with no tick, few ticks, or ticks in a wrong order: every verb handles them."""
+"""Every command can handle logs with no tick, with few ticks, or with ticks in a wrong order."""
 
 import struct
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def ticks_of(log: RunLog) -> list[bytes]:
-    """Return the ticks of a log as the recorder receives them."""
+    """Return the ticks of a log in the form in which the recorder receives them."""
     axes = [len(log.header.axis(name)) for name in ("joint", "tendon", "motor", "digit")]
     pairs = zip(log.messages(), log.packed(), strict=True)
     return [SIZES.pack(len(message), *axes) + message + numbers for message, numbers in pairs]
 
 
 def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
-    """Write a complete log with other ticks."""
+    """Write a complete log with the header of another log and given ticks, and return its path."""
     writer = LogWriter(path, log.header, lambda *what: None, 1)
     for tick in ticks:
         writer.add(tick)
@@ -54,7 +54,7 @@ def test_every_verb_reads_or_refuses_a_short_log(ticks: slice, place: Path, caps
 
 
 def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
-    """Return the same tick at another time."""
+    """Return a recorded tick that is moved by a number of ticks in time."""
     at = SIZES.size + 4
     k, t_ns = struct.unpack_from("<qq", tick, at)
     return tick[:at] + struct.pack("<qq", k + ticks, t_ns + ticks * period_ns) + tick[at + 16 :]

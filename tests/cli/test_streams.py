@@ -1,4 +1,4 @@
-"""A verb with a closed pipe, a full disk, no standard streams, or a signal."""
+"""Test commands with a closed pipe, a full disk, without standard streams, or with a signal."""
 
 import json
 import os
@@ -21,7 +21,7 @@ BUFFERED = {key: value for key, value in os.environ.items() if key != "PYTHONUNB
 
 
 def shell(redirected, words=VERSION, **environment):
-    """Run a verb as a shell does. Return exit code, output and errors."""
+    """Run a command in a shell with redirected streams. Return its exit code, output and errors."""
     command = ["sh", "-c", f'exec "$0" "$@" {redirected}', *words]
     ran = subprocess.run(command, env=BUFFERED | environment, capture_output=True, text=True, check=False)
     return ran.returncode, ran.stdout, ran.stderr
@@ -36,7 +36,7 @@ def test_a_full_disk_for_the_output_is_one_line(unbuffered):
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("verb", [("config", "list"), ("paper", "--quick")])  # output by print, and by a table of rich
+@pytest.mark.parametrize("verb", [("config", "list"), ("paper", "--quick")])  # prints plain text, and a table of rich
 def test_output_without_a_reader_is_no_error(verb):
     read, write = os.pipe()
     os.close(read)

@@ -1,4 +1,4 @@
-"""Forces of single tendons in the gains: file, bounds, design, and changes during a run."""
+"""Test forces of single tendons in the gains: in the file, their bounds, their design, and changes during a run."""
 
 from pathlib import Path
 
@@ -21,12 +21,12 @@ FILE = '[[tendon]]\nname = "index_tendon"\nmotion_force_N = 5.0\n'
 
 @pytest.fixture(scope="module")
 def jamia() -> HandModel:
-    """Return the model of jamia with the default gains."""
+    """Return the model of the hand jamia with the default gains."""
     return HandModel.of(load_hand("jamia"), Gains(), 500.0)
 
 
 def own_force(force: float) -> Gains:
-    """Return gains with a force of the tendon of jamia's index [N]."""
+    """Return gains with a given force for the tendon of jamia's index finger [N]."""
     return with_values(Gains(), {KEY: force}, "test")
 
 

@@ -1,4 +1,7 @@
-"""``handctl tune`` and ``handctl identify`` as a user or a program calls them, with fakes for the computation."""
+"""Test ``handctl tune`` and ``handctl identify`` with the command lines of a user or a program.
+
+Fakes replace the computations.
+"""
 
 import json
 import shlex
@@ -29,7 +32,7 @@ A = Namespace(candidate="new.toml", hand="jamia")
 
 @pytest.fixture
 def fake_search(monkeypatch):
-    """Replace the search by one that returns given trials at once."""
+    """Replace the search for gains by one that returns at once. Return the list of its trials."""
     trials = []
     monkeypatch.setattr("handctl.tune.search.search.run_search", lambda *words: SearchResult.of(tuple(trials)))
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
@@ -179,7 +182,10 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(place, capsys, 
 
 
 def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
-    """Return a fit of a tendon, with the contact that its digit had during the excitation."""
+    """Return the result of identifying a tendon.
+
+    ``blocked`` and ``met`` say how its digit was in contact during the excitation.
+    """
     from handctl.tune.identify.fit import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
 
@@ -192,7 +198,7 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
 
 
 def _replace_identification(monkeypatch, made, found):
-    """Make ``handctl identify --lockstep`` return given values."""
+    """Let ``handctl identify --lockstep`` use a given calibration and given results."""
     outcome = SimpleNamespace(refuse_unfinished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
@@ -202,7 +208,7 @@ def _replace_identification(monkeypatch, made, found):
 
 
 def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys, monkeypatch):
-    """One line names the digit, the parameters, the reason, and the next step."""
+    """One line names the digit, the parameters that are not written, the reason, and the next step."""
     hand, path = load_hand("jamia"), place / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
@@ -222,7 +228,7 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys,
 
 @pytest.mark.parametrize("others", [(), ("ring",), ("ring", "thumb")])
 def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, others):
-    """Regression: springs of 3.05 instead of 1.2 were stored, because fingers touched each other."""
+    """Regression: fingers touched each other, and a spring parameter of 3.05 instead of 1.2 was stored."""
     hand, path = load_hand("jamia"), place / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
@@ -248,7 +254,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
 @pytest.mark.parametrize("words", [("--output", "x.png"), ("--output", "x.toml", "--picture", "./x.toml")])
 @pytest.mark.parametrize("kind", ["design", "search"])
 def test_gains_and_picture_are_two_files(place, capsys, kind, words):
-    """The picture would overwrite the gains."""
+    """A command refuses the same name for both, because the picture would overwrite the gains."""
     assert "the name of the picture" in refused(capsys, "tune", kind, "--plants", "1", *words)
     assert not list(place.iterdir())
 
@@ -304,7 +310,7 @@ PERTURBING = [
     ("tune", "verify", "new.toml", "--lockstep", "--dry-run"),
     ("demo", "--lockstep", "--dry-run"),
 ]
-"""Every verb that simulates the hand itself; ``sim`` leaves it to the simulator, see test_simulate."""
+"""Commands that simulate the hand in their own process. ``sim`` starts a simulator, see test_simulate."""
 
 
 @pytest.mark.parametrize("verb", PERTURBING, ids=lambda words: "-".join(words[:2]))
@@ -342,7 +348,7 @@ def test_the_simulator_refuses_the_same_perturbations(capsys, words, said):
 
 
 def next_command(out):
-    """Return the words of the next command that a verb has printed."""
+    """Return the words of the next command that a command has printed."""
     [line] = [line for line in out.splitlines() if line.startswith("next: handctl ")]
     return shlex.split(line)[2:]
 
@@ -373,7 +379,7 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
 
 @pytest.mark.nightly
 def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_lockstep(place, capsys):
-    """Each command is the next command that the previous verb has printed, with fewer trials."""
+    """Each command line is the one that the previous command has printed as next, with fewer trials."""
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0
     words = next_command(capsys.readouterr().out)

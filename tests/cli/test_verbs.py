@@ -1,4 +1,7 @@
-"""Every example runs as printed, JSON is valid, a dry run opens no bus, and exit codes depend on the state of a log."""
+"""Every example runs as printed.
+
+JSON output is valid, a dry run opens no bus, and exit codes depend on the state of a log.
+"""
 
 import json
 import os
@@ -20,7 +23,7 @@ GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 HEAVY = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
-"""Modules whose import would delay a help noticeably."""
+"""Modules that no help may import, because their import would delay it noticeably."""
 
 
 def test_help_imports_nothing_that_only_a_run_needs():
@@ -42,7 +45,7 @@ def test_the_protocol_option_lists_all_protocols():
 
 
 def json_output(capsys, *words):
-    """Return the output of a verb with --json."""
+    """Run a command with --json, and return its exit code and its output."""
     code = main([*words, "--json"])
     out, _ = capsys.readouterr()
     return code, json.loads(out)
@@ -61,7 +64,7 @@ DRY = {
 def test_every_verb_prints_json_without_hardware(capsys, verb):
     dry = ("--dry-run",) if verb == "run" else ()
     code, said = json_output(capsys, *verb.split(), *DRY[verb], *dry)
-    assert code in ((0, 1) if verb == "doctor" else (0,))  # the doctor may find something to repair
+    assert code in ((0, 1) if verb == "doctor" else (0,))  # 1 if there is a finding
     assert said
 
 
@@ -107,7 +110,7 @@ def test_a_dry_run_prints_the_gains(place, capsys):
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    """Return a small log of a successful run."""
+    """Return the path of a small log of a successful run."""
     from handctl.core.types import TELEMETRY_AXES, Mode, Telemetry, TickIn, TickOut
     from handctl.hand.load import load_hand
     from handctl.log.header import RunHeader

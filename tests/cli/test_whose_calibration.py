@@ -1,4 +1,4 @@
-"""A calibration belongs to one hand, identified by the serial numbers of its drives."""
+"""A calibration belongs to one hand. The serial numbers of the drives identify this hand."""
 
 import json
 import tomllib
@@ -25,7 +25,7 @@ GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
 
 
 class Bench:
-    """A hand of one design in virtual time, and the plan of its controller."""
+    """A simulated hand in virtual time, and the plan of its controller."""
 
     def __init__(self, place, hand, serials=()):
         import argparse
@@ -59,7 +59,7 @@ def modes(log):
 
 @pytest.mark.parametrize("protocols", [[name] for name in GUARDED], ids="+".join)
 def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(place, protocols):
-    """Regression: with two hands in one folder, the second one got the tares and zeros of the first."""
+    """Regression: two hands of a design were used in one folder. The second got the tares and zeros of the first."""
     hand = hand_file(place, protocols)
     first, second = Bench(place, hand, FIRST), Bench(place, hand, SECOND)
     calibration = first.commission("first")

@@ -1,4 +1,4 @@
-"""Random hands with any number of tendons, ticked with synthetic frames, and a hash of each tick."""
+"""Run ticks of random hands with synthetic frames, and hash each tick. A hand may have any number of tendons."""
 
 import hashlib
 import json
@@ -29,24 +29,25 @@ from handctl.hand.load import hand_content, hand_from_content
 from handctl.programs.live import LiveProgram
 
 RATE_HZ, TICKS = 200.0, 40
-"""Ticks of one hand."""
+"""Control rate [Hz] and number of ticks of each random hand."""
 FREE_TICKS = 10
-"""Number of ticks at the end, in which faults may end the motion.
+"""Number of ticks at the end of a run in which faults may end the motion.
 
-In earlier ticks the hand is kept active.
+In all earlier ticks the hand is kept active in spite of faults.
 """
 LOST_FRACTION, DUPLICATE_FRACTION, CORRUPT_FRACTION, SKIPPED_FRACTION = 0.03, 0.02, 0.02, 0.03
 """Fractions of frames that are lost, duplicate or corrupt, and fraction of ticks that are skipped."""
 BUSES, ON_A_BUS = ("main", "second"), 12
 CARRIED_FRACTION = 0.3
-"""Fraction of digits that the digit before carries."""
+"""Fraction of digits that are mounted on another digit, which carries them."""
 Random = np.random.Generator
 
 
 def random_hand(tendons: int, random: Random) -> Hand:
-    """Return a hand with a number of tendons.
+    """Return a random hand with ``tendons`` tendons.
 
-    A digit has a tendon for each joint, one tendon, or one tendon more than joints. Some digits are mounted on others.
+    A digit has as many tendons as joints, a single tendon, or one tendon more than joints. Some
+    digits are mounted on others.
     """
     raw = hand_content("jamia11")
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
@@ -59,7 +60,7 @@ def random_hand(tendons: int, random: Random) -> Hand:
         arms = kinds[int(random.integers(len(kinds)))]
         digits.append(_digit(finger, name, size, len(arms) == 1 < size, random))
         if len(digits) > 1 and random.random() < CARRIED_FRACTION:
-            # The tendons pass a joint of the carrier at a distance from its axis.
+            # Tendons of a carried digit pass a joint of its carrier at a distance from the axis.
             carrier = digits[-2]["name"]
             digits[-1]["mount_on"] = carrier
             arms = [arm | {f"{carrier}_j1": float(random.uniform(1e-3, 5e-3))} for arm in arms]
@@ -97,7 +98,10 @@ def random_hand(tendons: int, random: Random) -> Hand:
 
 
 def _motors_with_position_loop(hand: Hand, random: Random) -> set[str]:
-    """Return about half of the motors that may close a position loop, all on digits without antagonists."""
+    """Return about half of the motors that may close a position loop.
+
+    Only motors of digits without antagonists may do so.
+    """
     if hand.motor[0].protocol not in ("mit", "robstride"):
         return set()
     allowed = set[str]()
@@ -109,7 +113,7 @@ def _motors_with_position_loop(hand: Hand, random: Random) -> set[str]:
 
 
 def _arms(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
-    """Yield the moment arms of each tendon, for each kind of digit."""
+    """Yield the moment arms of a digit's tendons, once for each kind of digit."""
     one = float(radii[0])
     yield [dict.fromkeys(joints, one)]
     each = [dict(zip(joints[: i + 1], radii[: i + 1].tolist(), strict=True)) for i in range(len(joints))]
@@ -126,7 +130,10 @@ def _digit(finger: dict[str, Any], name: str, size: int, coupled: bool, random: 
 
 
 def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> bytes:
-    """Return the payload of a message. The first signal of a status has its highest bits."""
+    """Return the payload of a message with given values.
+
+    If a status has several signals, the first has its highest bits.
+    """
     values, left = [], sum(one.length for one in message.signals if one.quantity == Quantity.STATUS)
     for signal in message.signals:
         if signal.quantity == Quantity.UNUSED:
@@ -143,7 +150,7 @@ def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> by
 
 
 class RandomHand:
-    """A random hand under torque, and the frames that its nodes might send."""
+    """A random hand whose motors make torque, and frames that its nodes might send."""
 
     def __init__(self, tendons: int, seed: int) -> None:
         self.random = np.random.default_rng((tendons, seed))
@@ -160,11 +167,11 @@ class RandomHand:
         self.speed = self.random.normal(0.0, 2.0, tendons)
         self.angle = np.zeros(len(hand.joints))
         self.digits = hand.digit_names
-        # A drive closes the position loop of a taut tendon only.
+        # A drive closes its position loop only while its tendon is taut.
         self.pull = 20.0 if any(motor.holds_position for motor in hand.motor) else 0.0
 
     def frames(self, t_ns: int) -> tuple[Frame, ...]:
-        """Return the frames of a tick: motors wind, tensions follow, and some frames are disturbed."""
+        """Return the frames that arrive in a tick. Motors wind, tensions follow, and some frames are disturbed."""
         random, period = self.random, 1.0 / RATE_HZ
         self.speed = 0.9 * self.speed + random.normal(0.0, 1.0, len(self.speed))
         self.position += self.speed * period
@@ -196,7 +203,7 @@ class RandomHand:
         return tuple(out)
 
     def requests(self, i: int) -> tuple[str, ...]:
-        """Return the requests of a tick: moves of some digits, and tensions of others."""
+        """Return the requests that arrive in the i-th tick: a move or a tension of a digit, or none."""
         if self.pull and i == 2:
             return (json.dumps({"do": "move", "angle_deg": dict.fromkeys(self.digits, 30.0), "duration_s": 0.2}),)
         if i % 8 != 2:
@@ -207,7 +214,7 @@ class RandomHand:
         return (json.dumps({"do": "hold", "tension_N": {name: self.random.uniform(5.0, 60.0)}}),)
 
     def ticks(self) -> Iterator[str]:
-        """Tick, and yield a hash of state, numbers and frames of each tick."""
+        """Run all ticks, and yield a hash of the state, telemetry, frames and events of each."""
         k = 0
         for i in range(TICKS):
             if i < TICKS - FREE_TICKS:
@@ -236,7 +243,7 @@ def _status(drive: Any, protocol: str) -> int:
 
 
 def _enabled(drive: Any, protocol: str) -> DriveState:
-    """Return the state of a configured drive that obeys."""
+    """Return the state of a drive that is configured and obeys commands."""
     state: DriveState = drive.initial()
     private: Any = state.private
     if protocol != "odrive":
@@ -250,7 +257,7 @@ def _enabled(drive: Any, protocol: str) -> DriveState:
 
 
 def tick_hashes(tendons: int, seed: int) -> list[str]:
-    """Return the hashes of a random hand's ticks."""
+    """Return the hash of each tick of a random hand."""
     with np.errstate(all="ignore"):
         return list(RandomHand(tendons, seed).ticks())
 

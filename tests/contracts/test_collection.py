@@ -1,4 +1,4 @@
-"""Stages of `make test` for tests on the real clock import only the files with such tests."""
+"""Some stages of `make test` run only tests on the real clock. They import only the files that have such tests."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,8 @@
-"""The kernels: compiled and interpreted bytes are equal, no kernel compiles in a tick, no kernel is stale."""
+"""Test the kernels.
+
+Compiled and interpreted code give equal bytes, no kernel is compiled in a tick, and no stored code
+is stale.
+"""
 
 import ast
 import hashlib
@@ -30,7 +34,7 @@ PACKAGE = Path(handctl.__file__).parent
 
 
 def hash_of_execution(log: Path) -> str:
-    """Execute a log again, and return one hash of all states and numbers."""
+    """Execute the ticks of a log again, and return one hash of all their states and numbers."""
     digest = hashlib.blake2b(digest_size=16)
     with RunLog(log) as run, np.errstate(all="ignore"):
         controller = rebuild_controller(run)
@@ -44,13 +48,13 @@ def hash_of_execution(log: Path) -> str:
 
 
 def run_without_compiler(*words: str) -> subprocess.Popen[str]:
-    """Start Python without a compiler."""
+    """Start a Python process in which kernels are interpreted and not compiled."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
     return subprocess.Popen([sys.executable, *words], env=environment, stdout=subprocess.PIPE, text=True)
 
 
 DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
-"""Logs of every run. Random hands, below, cover the faults and other numbers of tendons."""
+"""Logs that are executed by day. The random hands below cover faults and other numbers of tendons."""
 
 
 @pytest.mark.parametrize(
@@ -65,14 +69,20 @@ def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
 
 
 DAILY = [(1, 0), (2, 0), (5, 1), (5, 2), (11, 1), (24, 0)]
-"""Number of tendons and seed of each hand. Drives of (5, 2) and (11, 1) close position loops."""
+"""Number of tendons and seed of each random hand that is tested by day.
+
+Drives of (5, 2) and (11, 1) close position loops.
+"""
 
 
 @pytest.mark.parametrize(
     "hands", [DAILY, pytest.param([(n, s) for n in range(1, 25) for s in (2, 3)], marks=pytest.mark.nightly)], ids=len
 )
 def test_interpreted_kernels_give_the_same_ticks_of_random_hands(hands: list[tuple[int, int]]) -> None:
-    """Compare state, numbers, frames and events of every tick, with lost, duplicate, late and corrupt frames."""
+    """State, numbers, frames and events of every tick agree.
+
+    Received frames may be lost, duplicate, late or corrupt.
+    """
     with run_without_compiler(
         "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in hands]
     ) as other:
@@ -85,7 +95,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(hands: list[tup
 
 
 def hash_of_segments() -> str:
-    """Begin random motions to streamed targets, and return one hash of all blocks."""
+    """Begin random motions to streamed targets, and return one hash of all resulting state blocks."""
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
     axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
@@ -111,7 +121,7 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 
 
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
-    """Check that an array of another type does not compile for a second in the middle of a tick."""
+    """An array of another type raises. A compilation for it would take a second in the middle of a tick."""
 
     @kernel("vector", "real")
     def scaled(values: np.ndarray, by: float) -> np.ndarray:
@@ -125,7 +135,7 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
 
 
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
-    """In an array with gaps, a kernel would read the elements between."""
+    """An array with gaps is refused, because a kernel would read the elements in the gaps."""
 
     @njit
     def third(values: np.ndarray) -> float:
@@ -149,7 +159,7 @@ from handctl.core import block as s
 def misses(block, at):
     return losses.misses_every_second(state_tables(block, at), 0)
 """
-"""A kernel with a function of another file, which uses a constant of a third file."""
+"""Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
 ASK_SCRIPT = """
 from handctl import compiled
 from handctl.core import block as s
@@ -169,7 +179,7 @@ print(bool(misses(block, layout.places)), len(before), folder is not None)
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """Copy the package, with a kernel that detects a node that misses every second tick."""
+    """Copy the package and add the kernel ``PROBE``, which detects a node that misses every second tick."""
     package = tmp_path / "handctl"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / "core" / "probe.py").write_text(PROBE, encoding="utf-8")
@@ -177,10 +187,10 @@ def copy(tmp_path: Path) -> Path:
 
 
 def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
-    """Run the kernel of a copy, and return its result.
+    """Run the added kernel of a copied package in a process.
 
-    Returns:
-        The result, True if the code was stored before, and True if code can be stored.
+    Returns: The result of the kernel, whether its stored code was used, and whether code can be
+    stored.
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(package.parent)}
     command = [sys.executable, "-c", ASK_SCRIPT]
@@ -191,7 +201,10 @@ def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
 
 
 def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path: Path) -> None:
-    """Check a case that numba misses: numba only checks whether the kernel's file has changed."""
+    """The kernel is compiled again if a constant changes in another file.
+
+    numba itself checks only the kernel's own file.
+    """
     cache = tmp_path / "cache"
     assert run_copied_kernel(copy, cache) == (True, False, True)
     assert run_copied_kernel(copy, cache) == (True, True, True), (
@@ -207,7 +220,7 @@ def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path:
 
 
 def test_two_installations_of_one_version_store_their_code_apart(copy: Path, tmp_path: Path) -> None:
-    """In a common folder, the code of one installation could be loaded by the other installation."""
+    """If both used one folder, an installation could load the stored code of the other."""
     cache, other = tmp_path / "cache", tmp_path / "other" / copy.name
     shutil.copytree(copy, other)
     for package in (copy, other):
@@ -230,10 +243,13 @@ def test_without_a_writable_cache_each_process_compiles(copy: Path, tmp_path: Pa
 
 
 class KernelSources:
-    """Modules of this package whose text can change a kernel: they define its names, directly or indirectly."""
+    """Modules of handctl whose text can change a kernel.
+
+    They define names that the kernel uses, directly or indirectly.
+    """
 
     def __init__(self) -> None:
-        """Start without a module."""
+        """Start with an empty set of modules."""
         self.modules = set[str]()
         self._seen = set[tuple[str, str]]()
         self._trees: dict[str, ast.Module] = {}
@@ -255,7 +271,7 @@ class KernelSources:
                         self.follow(module, used.id)
 
     def _follow_import(self, module: str, name: str) -> None:
-        """Follow one name, or all names of an imported module."""
+        """Follow an imported name, or all names of an imported module."""
         inner = f"{module}.{name}"
         if inner not in sys.modules:
             self.follow(module, name)
@@ -266,7 +282,7 @@ class KernelSources:
                 self.follow(inner, one)
 
     def _tree(self, module: str) -> ast.Module:
-        """Return the parsed text of a module."""
+        """Return the syntax tree of a module."""
         if module not in self._trees:
             self._trees[module] = ast.parse(Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8"))
         return self._trees[module]
@@ -289,7 +305,7 @@ def is_source(module: str) -> bool:
 
 
 def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
-    """Check that the cache folder depends on every module with code of a kernel."""
+    """The name of the cache folder depends on the text of every module that can change a kernel."""
     kernels = [function for function in MARKED if function.__module__.startswith("handctl.")]
     assert len(kernels) > 100
     origins = KernelSources()

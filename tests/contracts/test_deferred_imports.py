@@ -1,4 +1,4 @@
-"""Imports of parts of a package."""
+"""Test names of a package whose modules are imported only when the name is used."""
 
 import subprocess
 import sys

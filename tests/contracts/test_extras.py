@@ -1,4 +1,4 @@
-"""An optional package that is not installed is reported in one line, before the verb begins."""
+"""If an optional package is not installed, a command that needs it reports this in one line before it begins."""
 
 import ast
 import json
@@ -22,11 +22,11 @@ HOMES = (
     "src/handctl/gym/", "src/handctl/view/", "src/handctl/log/export/", "src/handctl/replay/dataset_episode.py",
     "src/handctl/tune/search/",
 )  # fmt: skip
-"""Where optional packages are imported."""
+"""Folders and files of the source that may import optional packages."""
 PARTS = {"pydantic_core"}
-"""Packages that another dependency pins to one version."""
+"""Packages that are part of a dependency, which pins them to one version."""
 HIDE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRAS)}))\n"
-"""Code that hides every optional package from a process."""
+"""Python code that hides every optional package from a process."""
 
 COMMANDS = [
     ("demo --lockstep", "mujoco", "demo needs mujoco", "sim"),
@@ -149,7 +149,7 @@ def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undecl
 
 
 def imported(node: ast.AST) -> list[str]:
-    """Return the top-level packages that a node imports."""
+    """Return the top-level packages that a node of a syntax tree imports."""
     match node:
         case ast.Import(names=aliases):
             return [alias.name.partition(".")[0] for alias in aliases]

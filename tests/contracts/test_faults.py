@@ -1,4 +1,7 @@
-"""Catalogue, fault table, campaign, tests and pages agree, and two external lists map onto the catalogue."""
+"""The fault catalogue, the fault table, the campaign, tests and pages agree.
+
+Two lists of other projects map onto the catalogue.
+"""
 
 from pathlib import Path
 
@@ -21,7 +24,7 @@ from handctl.safety.faults.table import CATALOGUE, TABLE, remedy_for
 ROOT = Path(__file__).parents[2]
 SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
 IDS = [f"{letter}{number:02}" for letter, size in SIZES.items() for number in range(1, size + 1)]
-"""The 68 rows of the project's fault catalogue, N17 from a trial, and I11 for streams."""
+"""Identifiers of all faults: the 68 rows of the first catalogue, N17 from a trial, and I11 for streams."""
 BY_ID = {entry.id: entry for entry in CATALOGUE}
 
 AUTOSAR = {
@@ -29,7 +32,7 @@ AUTOSAR = {
     "wrong address": "B10 N13", "wrong sequence": "B07", "corruption": "B08 B09", "asymmetric information": "B17",
     "subset of receivers": "B17", "blocked access": "B11 B12",
 }  # fmt: skip
-"""AUTOSAR's communication faults. Source: FAULTS, section 2.6."""
+"""Faults of communication that AUTOSAR lists, with faults of this catalogue. Source: FAULTS, section 2.6."""
 KINDS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
 PX4 = {
     "link": ("N02", "N15", "B08", "B06", "N15", "B04", "B03"),
@@ -41,7 +44,10 @@ PX4 = {
     "voltage": ("-the drive judges it", "-the drive judges it", "N10", "N10", "-the drive judges it",
                 "-the drive judges it", "-the drive judges it"),
 }  # fmt: skip
-"""PX4's failure kinds for each measured quantity. An entry with - is not applicable and holds the reason."""
+"""Fault of this catalogue for each failure kind of PX4 and each measured quantity.
+
+An entry with - does not apply, and gives the reason.
+"""
 
 
 def test_the_catalogue_has_every_row_once_and_in_order() -> None:
@@ -79,7 +85,7 @@ def test_every_fault_is_injected_or_has_a_reason() -> None:
 def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
     for row in MATRIX:
         entry = BY_ID[row.id]
-        if row.rows[:1] == ("B11b",):  # the second stage of B11, which counts ten ticks
+        if row.rows[:1] == ("B11b",):  # second stage of B11, after ten ticks
             assert row.ticks == 11
             continue
         assert row.ticks * 2.0 + row.ms <= entry.latest_ms(500.0), row
@@ -95,7 +101,7 @@ N01 2 N02 4 N04 22 N05 3 N06 200 N07 52 N08 2 N09 22 N10 2 N11 2 N13 2 N14 22 N1
 T01 3 T02 12 T03 2 T04 200 T05 42 T06 4 T08 4
 H01 1 H02 1 H03 1 H04 1 H05 3 H06 1 H07 1 H08 200 H09 640 H10 1 H13 2 I07 2
 """
-"""Ticks of each row that has some. Source: FAULTS, sections 2.1 to 2.5."""
+"""Longest required reaction time of faults [ticks]. Source: FAULTS, sections 2.1 to 2.5."""
 
 
 def test_a_reaction_later_than_required_has_a_reason() -> None:

@@ -1,4 +1,7 @@
-"""Fuzzing starts from valid inputs: an unchanged input is accepted, so that a change is the reason of a refusal."""
+"""Fuzzing starts from valid inputs.
+
+An unchanged input is accepted, so a refused input is refused because of its change.
+"""
 
 import functools
 import subprocess
@@ -15,7 +18,7 @@ from fuzz.targets import TARGETS, seeds
 from handctl.drives.contract import Phase
 
 UNCHANGED = ("hand", "task", "trajectory", "gains", "calibration", "log")
-"""Targets of a document that an empty input leaves unchanged."""
+"""Fuzz targets that change a document. An empty fuzz input leaves the document unchanged."""
 
 
 @pytest.mark.parametrize("name", UNCHANGED)
@@ -52,7 +55,7 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(tmp_path: Path, monkeypa
     parts = logs._parts(tmp_path / "small.mcap")
     messages = ((i, at) for i, part in enumerate(parts) for at, one in enumerate(part) if one[0] == Opcode.MESSAGE)
     part, tick = next(messages)
-    number = 22 + 4  # offset of the tick number: after the message header (22) and the encoding mark (4)
+    number = 22 + 4  # the tick number follows the message header (22) and the encoding mark (4)
     replaced, anywhere, given, one_byte = 3, 1, 0, 0
     choices = (part, tick, replaced, number, anywhere, given, one_byte)
     assert not target(b"".join(n.to_bytes(2, "little") for n in choices) + b"\x07")

@@ -1,4 +1,4 @@
-"""Stored code of kernels is loaded without numba's compiler, and can be compiled into other functions."""
+"""Stored code of kernels is loaded without the compiler of numba, and other compiled functions can call it."""
 
 import subprocess
 import sys
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(compiled._FOLDER is None, reason="no folder for 
 
 
 def lines(code: str) -> list[str]:
-    """Return the lines that a program prints."""
+    """Run a program text in Python, and return the lines that it prints."""
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     return ran.stdout.splitlines()
 
@@ -41,6 +41,6 @@ def test_other_versions_of_numba_load_in_their_own_way() -> None:
 
 
 def test_the_installed_version_is_known() -> None:
-    """A new version of numba needs a look at the steps in ``kernel_loading``."""
+    """For a new version of numba, somebody must check the steps in ``kernel_loading``."""
     version: object = numba.version_info
     assert getattr(version, "short", None) in kernel_loading.TESTED_VERSIONS

@@ -1,4 +1,4 @@
-"""The check of the language counts as its documentation says, and its limits can only be lowered."""
+"""The language check counts as its documentation says. Its limits can only be lowered."""
 
 import importlib.util
 import sys

@@ -1,4 +1,4 @@
-"""No module imports itself through others, at any place in the module."""
+"""No module imports itself through other modules, neither at its top nor in a function."""
 
 import ast
 from pathlib import Path
@@ -10,9 +10,9 @@ Graph = dict[str, set[str]]
 
 
 def modules() -> dict[str, Path]:
-    """Return every module of the two packages with its file.
+    """Return every module of handctl and firmware_sim with its file.
 
-    The files of packages (`__init__.py`) contain no code.
+    A package has the file `__init__.py`, which contains no code.
     """
     files = {}
     for package in (ROOT / "src" / "handctl", ROOT / "firmware_sim"):
@@ -23,7 +23,7 @@ def modules() -> dict[str, Path]:
 
 
 def imports(source: str, modules_known: set[str]) -> set[str]:
-    """Return the modules that a source imports, including imports in functions and for types."""
+    """Return the known modules that a source text imports, including imports in functions and for types."""
     imported: set[str] = set()
     for node in ast.walk(ast.parse(source)):
         match node:
@@ -36,7 +36,7 @@ def imports(source: str, modules_known: set[str]) -> set[str]:
 
 
 def circles(graph: Graph) -> list[set[str]]:
-    """Return the groups of modules that reach each other."""
+    """Return the groups of modules that import each other, directly or through others."""
     reach = {name: set(targets) for name, targets in graph.items()}
     for middle in graph:
         for targets in reach.values():

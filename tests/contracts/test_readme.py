@@ -1,4 +1,4 @@
-"""The README is short, agrees with the code, and first states what is unknown."""
+"""The README is short and agrees with the code. It names unknown properties first."""
 
 import tomllib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The choice of the tests that a sample leaves out."""
+"""Test which slow tests a sample of all tests leaves out."""
 
 import subprocess
 import sys
@@ -34,7 +34,7 @@ def test_parameters_with_brackets_and_lines_belong_to_one_function() -> None:
 
 
 def test_only_a_sample_leaves_slow_tests_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Collect this file with a list that has two of its tests."""
+    """pytest collects this file with a list of slow tests that names two of its tests."""
     code = "import sys, pathlib, pytest, tests.slow; tests.slow.SLOW_TESTS = pathlib.Path(sys.argv[1]); " + (
         "sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))"
     )

@@ -1,4 +1,8 @@
-"""The soak: a leak is reported, memory that is freed and allocated again is none, and a controller can start."""
+"""Test the long soak run.
+
+It reports a leak, does not report memory that is freed and allocated again, and can start a
+controller.
+"""
 
 import random
 import subprocess
@@ -20,7 +24,10 @@ def watched(seconds: float, mib_per_h: float = 0.0, swings_mib: float = 0.0) -> 
 
 
 def test_a_controller_gets_a_calibration_of_its_hand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Regression: the soak wrote the hand instead of a calibration, and ended before its first controller."""
+    """Regression: the soak run wrote a hand file in place of the calibration.
+
+    It ended before its first controller.
+    """
     monkeypatch.chdir(tmp_path)
     done = subprocess.Popen([sys.executable, "-c", ""])
     done.wait()
@@ -36,7 +43,10 @@ def test_growth_is_reported_in_mebibytes_per_hour() -> None:
 
 
 def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
-    """Regression: a recorder that held 1.5 MiB more in some samples "grew" by 3 MiB per hour."""
+    """Regression: in some samples a recorder had 1.5 MiB more than in others.
+
+    This was reported as growth of 3 MiB per hour.
+    """
     falling_back = watched(2400.0)
     low = [one._replace(rss=one.rss - 1.5 * (600 <= one.t < 1170 and one.t % 300 > 30)) for one in falling_back]
     assert slope(low) == pytest.approx(0.0, abs=1e-6)

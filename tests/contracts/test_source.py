@@ -1,4 +1,4 @@
-"""Rules of the source that import-linter cannot check."""
+"""Test rules of the source code that import-linter cannot check."""
 
 import ast
 import re
@@ -21,7 +21,7 @@ def sources(*folders: str) -> list[Path]:
 
 
 def broad_handlers(source: str) -> Iterator[int]:
-    """Yield the line numbers of handlers and ``suppress`` that catch all exceptions, in any spelling."""
+    """Yield the lines of a source with handlers or ``suppress`` that catch all exceptions, in any spelling."""
     for node in ast.walk(ast.parse(source)):
         match node:
             case ast.ExceptHandler(type=None):
@@ -63,7 +63,10 @@ def test_only_the_loop_catches_all_exceptions_and_once() -> None:
 
 
 def test_only_one_module_builds_the_simulated_hand() -> None:
-    """Check that only ``session.simulate`` builds the simulated hand in lockstep."""
+    """Only ``session.simulate`` builds a simulated hand in lockstep.
+
+    The module of the lockstep clock defines the parts.
+    """
     builders = {
         str(path.relative_to(ROOT))
         for path in sources("src", "benchmarks", "fuzz")
@@ -99,7 +102,7 @@ def test_the_locks_name_no_index_and_hash_every_package() -> None:
 
 
 def named(module: str) -> set[str]:
-    """Return every name of a module, or of the folder of a package."""
+    """Return every name that a module or a package defines or imports."""
     places = [top / module.replace(".", "/") for top in (ROOT / "src", ROOT)]
     place = next(place for place in places if place.is_dir() or place.with_suffix(".py").exists())
     if place.is_dir():

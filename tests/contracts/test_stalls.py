@@ -1,4 +1,4 @@
-"""A stall of the machine is detected, and only then a test of the clock is repeated."""
+"""A stall of the machine is detected. A test on the real clock is repeated only after a stall."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""``handctl --help`` answers at once, because a verb's libraries are imported when the verb is called."""
+"""``handctl --help`` replies at once, because a command's libraries are imported only when the command is called."""
 
 import importlib.util
 import subprocess
@@ -9,10 +9,10 @@ import pytest
 
 HEAVY = ("can", "control", "daqp", "filterpy", "matplotlib", "mcap", "mujoco", "pyarrow", "pydantic", "rerun", "scipy")
 UNUSED = ("fft", "interpolate", "ndimage", "optimize", "signal", "spatial", "special", "stats")
-"""Packages of scipy that a run of a hand with springs does not use."""
+"""Packages of scipy that a run does not import if its hand has springs."""
 LIMIT_S = 0.3
 LIMIT_INTERPRETERS = 10
-"""Limit on a slow or busy machine, in start-up times of an empty interpreter."""
+"""Limit of the time for a help on a slow or busy machine, in start-up times of an empty Python interpreter."""
 HELP = "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
 
 pytestmark = pytest.mark.skipif(

@@ -1,7 +1,7 @@
 """The wheel, installed into a fresh environment outside the repository, runs the demo.
 
-The packages of the controller are installed first, then the extras.
-The controller therefore cannot use a package of an extra.
+The packages of the controller are installed before the extras. The test of the controller therefore
+cannot use a package of an extra.
 """
 
 import os
@@ -16,16 +16,19 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 CONTROLLER_MB = 620
-"""Largest size of what a controller needs [MB]: numba with LLVM 210, scipy 145, numpy 75, what control requires 105."""
+"""Largest size of the packages that a controller needs [MB].
+
+numba with LLVM has 210, scipy 145, numpy 75, and the dependencies of the package control have 105.
+"""
 
 pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1800)]
 
 
 class Fresh:
-    """An environment without access to the repository.
+    """A Python environment with the wheel, without access to the repository.
 
     Args:
-        folder: where it is made; programs run beside it.
+        folder: folder in which the environment is made and its programs run.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -1,7 +1,8 @@
 """A hand with scripted motors, tendons and load cells, and a bench that runs a controller tick by tick with it.
 
-Much less than the simulator, and therefore fast: every digit stands on its open stop, a rotor winds an elastic rope
-against it. Everything that comes and goes can be lost, changed or invented on the way.
+This hand models much less than the simulator, and is therefore fast. Every digit stands on its open
+stop, and its rotor winds an elastic tendon against the stop. A test can lose, change or invent
+frames in both directions.
 """
 
 import struct
@@ -23,19 +24,19 @@ from tests.drives.motor import ScriptedMotor
 
 SUBSTEPS = 4
 SLACK_M = 0.3e-3
-"""Rope that must be wound before a tendon is taut."""
+"""Length that a rotor must wind before its tendon is taut [m]."""
 
 
 class ToyHand:
-    """The simulated hand. Its ``step`` is that of a lockstep peer.
+    """The simulated hand. A controller in lockstep calls its ``step`` once in each tick.
 
     Attributes:
-        motors: one per tendon.
-        tension: (N,) what the load cells feel [N].
-        bias: (N,) what they say too much [N].
-        order: which load-cell channel shows which tendon.
-        silent_sensors: the sensor node says nothing.
-        braked: a rotor that is not enabled stands still.
+        motors: the scripted motors, one per tendon.
+        tension: (N,) true tension of each tendon [N].
+        bias: (N,) error that each load cell adds to the tension [N].
+        order: index of the tendon that each load-cell channel measures.
+        silent_sensors: whether the sensor node sends no frames.
+        braked: whether the rotor of a disabled motor stands still.
     """
 
     def __init__(self, hand: Hand, period_ns: int) -> None:
@@ -70,11 +71,11 @@ class ToyHand:
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
 
     def tear(self, i: int) -> None:
-        """Tear tendon i. It has no tension from now on, at any speed of its spool."""
+        """Tear tendon i. From then on its tension is zero, at any speed of its spool."""
         self.stiffness[i] = self.damping[i] = 0.0
 
     def close(self) -> None:
-        """Close nothing."""
+        """Do nothing, because this peer has nothing to close."""
 
     def _codes(self, i: int) -> tuple[int, int, int]:
         angle, speed = self.x[i] / self.spool[i], self.v[i] / self.spool[i]
@@ -120,12 +121,12 @@ def _pack_channels(base: int, counter: int, values: list[int]) -> list[Frame]:
 
 
 def register(value: float) -> bytes:
-    """Return the float of a register in its byte order on the bus."""
+    """Return the bytes of a register's float value in the order in which they are sent on the bus."""
     return struct.pack("<f", value)
 
 
 def controller(model: HandModel, program: Program, arm: bool = True) -> Controller:
-    """Return a controller of the whole hand, not commissioned."""
+    """Return a controller of all tendons of a hand that is not commissioned."""
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
@@ -139,10 +140,10 @@ class Bench:
     """A controller and the simulated hand, tick by tick.
 
     Attributes:
-        controller: under test.
-        peer: the other side.
-        to_host, to_nodes: what the wire does to the frames of a tick.
-        history: every tick so far, with the state before it.
+        controller: the controller under test.
+        peer: the simulated hand that replies to the controller.
+        to_host, to_nodes: functions that change the frames of a tick on their way to the host or to the nodes.
+        history: input and output of every tick so far, with the controller's state before the tick.
     """
 
     controller: Controller
@@ -163,7 +164,7 @@ class Bench:
         skip: int = 0,
         extra: tuple[Frame, ...] = (),
     ) -> TickOut:
-        """Run one tick after ``skip`` missed deadlines."""
+        """Run one tick of the controller, after ``skip`` ticks that it missed."""
         for _ in range(skip):
             self.waiting += self.peer.step(self.k * self.period_ns, [])
             self.k += 1
@@ -192,7 +193,7 @@ class Bench:
 
     @property
     def modes(self) -> list[Mode]:
-        """Return the modes so far, in order."""
+        """Return the modes of the controller so far, in order."""
         seen: list[Mode] = []
         for _, _, out in self.history:
             if not seen or seen[-1] != out.mode:
@@ -201,10 +202,10 @@ class Bench:
 
     @property
     def events(self) -> list[Event]:
-        """Return all events so far."""
+        """Return all events that the controller has emitted so far."""
         return [event for _, _, out in self.history for event in out.events]
 
 
 def bench(model: HandModel, program: Program, arm: bool = True) -> Bench:
-    """Return a bench with a healthy hand."""
+    """Return a bench that connects a controller with a hand without faults."""
     return Bench(controller(model, program, arm), ToyHand(model.hand, round(model.period * 1e9)))

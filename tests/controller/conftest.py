@@ -1,4 +1,4 @@
-"""Models of the packaged hands, computed once because the design of the gains takes long."""
+"""Models of packaged hands. They are computed once for all tests, because the design of the gains takes long."""
 
 import pytest
 
@@ -10,31 +10,31 @@ from handctl.programs.live import LiveProgram
 from tests.controller.bench import Bench, bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
-"""Control rates that the bus load allows [Hz]."""
+"""Default control rate of each hand [Hz]. Its frames fit on the bus at this rate."""
 
 
 @pytest.fixture(scope="session")
 def jamia() -> HandModel:
-    """Return the hand with one tendon per digit, at its default rate."""
+    """Return the model of ``jamia``, a hand with one tendon per digit, at its default rate."""
     return HandModel.of(load_hand("jamia"), Gains(), DEFAULT_RATES["jamia"])
 
 
 @pytest.fixture(scope="session")
 def jamia11() -> HandModel:
-    """Return the hand with one tendon per joint and with joint encoders, at its default rate."""
+    """Return the model of ``jamia11``, which has a tendon and an encoder at each joint, at its default rate."""
     return HandModel.of(load_hand("jamia11"), Gains(), DEFAULT_RATES["jamia11"])
 
 
 @pytest.fixture(params=["jamia", "jamia11"])
 def model(request: pytest.FixtureRequest) -> HandModel:
-    """Return the model of each packaged hand."""
+    """Return the model of one of the two packaged Jamia hands. A test with this fixture runs once for each."""
     found: HandModel = request.getfixturevalue(request.param)
     return found
 
 
 @pytest.fixture(scope="module")
 def active() -> Bench:
-    """Return an active hand that holds a tension."""
+    """Return a bench whose hand is active and holds a tension."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(1.0)

@@ -1,6 +1,7 @@
 """States, sensors and single ticks for tests of the tension filter.
 
-``FilterState`` is the filter's part of a controller's state, ``step`` runs the stages of one tick on it.
+``FilterState`` is the part of a controller's state that belongs to the filter. ``step`` runs the
+stages of one tick on such a state.
 """
 
 from typing import NamedTuple
@@ -18,16 +19,18 @@ from tests.controller.synthetic import Estimate, Readings, active_state, constan
 
 
 class FilterState(NamedTuple):
-    """State of the filter between two ticks, per tendon.
+    """State of the tension filter between two ticks, with one entry per tendon.
 
     Attributes:
-        x: (7N,) the seven states, tendon after tendon.
-        regimes: of ``Regime``. stopped: on the open stop. turning: evidence for leaving or entering slack.
-        measured: the tendon's length is known. surprise: last load-cell innovation by its standard deviation.
-        nis, lately: normalised innovation squared, averaged. doubtful: the model does not fit.
-        wary: time for which it is still doubted [s].
-        covariance: (N, 7, 7) while measurements are missing; None where it is the steady one.
-        started: whether every sensor was read.
+        x: (7N,) the seven filter states of each tendon, tendon after tendon.
+        regimes: members of ``Regime``. stopped: whether the digit is on its open stop. turning: evidence that the
+            tendon leaves or enters slack.
+        measured: whether the tendon's length is known. surprise: last load-cell innovation, divided by its standard
+            deviation.
+        nis, lately: two averages of the normalised innovation squared. doubtful: whether the filter doubts its model.
+        wary: time for which the filter still doubts its model [s].
+        covariance: (N, 7, 7) of the states while measurements are missing. None stands for the steady-state covariance.
+        started: whether every sensor has been read once.
     """
 
     x: np.ndarray
@@ -45,7 +48,7 @@ class FilterState(NamedTuple):
 
     @staticmethod
     def of(x: np.ndarray, regime: Regime, stopped: bool) -> "FilterState":
-        """Return every tendon in one regime, with states (7N,)."""
+        """Return a filter state with every tendon in the same regime, from the states (7N,) of the tendons."""
         n = len(x) // STATES
         none = np.zeros(n)
         no = (False,) * n
@@ -54,7 +57,7 @@ class FilterState(NamedTuple):
 
     @staticmethod
     def initial(n: int) -> "FilterState":
-        """Return the filter state before any sensor was read."""
+        """Return the state that the filter of N tendons has before the first reading of a sensor."""
         return FilterState.of(np.zeros(STATES * n), Regime.SLACK, stopped=True)._replace(started=False)
 
 
@@ -62,11 +65,14 @@ ROWS = {
     "regimes": "regime", "stopped": "stopped", "turning": "turning", "measured": "length_known",
     "surprise": "surprise", "nis": "nis_mean", "doubtful": "doubtful", "lately": "nis_lately", "wary": "wary",
 }  # fmt: skip
-"""Fields of the block that a filter's state is made of, beside its seven states and the covariance."""
+"""Field of the state block for each attribute of ``FilterState``.
+
+The seven states and the covariance are not listed.
+"""
 
 
 def write_filter_state(state: State, filtered: FilterState) -> None:
-    """Write a filter state into the state of a controller."""
+    """Write a filter state into the block of a controller's state."""
     state.tendon[s.TRAVEL : s.TRAVEL + STATES] = filtered.x.reshape(-1, STATES).T
     for name, row in ROWS.items():
         state.view(row)[...] = getattr(filtered, name)
@@ -78,7 +84,7 @@ def write_filter_state(state: State, filtered: FilterState) -> None:
 
 
 def filter_state_of(state: State) -> FilterState:
-    """Read the filter state from the state of a controller."""
+    """Return the filter's part of a controller's state."""
     booleans = ("stopped", "measured", "doubtful")
     found = {
         name: tuple(map(bool if name in booleans else int, state.view(row)))
@@ -94,7 +100,7 @@ def filter_state_of(state: State) -> FilterState:
 
 
 def read(state: State, measured: Readings) -> None:
-    """Write measurements into a state."""
+    """Write the measurements of a tick into a controller's state."""
     for name in ("travel", "tension", "excursion"):
         state.view(f"measured_{name}")[...] = getattr(measured, name)
     state.view("measured_joint")[...] = measured.joints
@@ -111,15 +117,16 @@ def tick(
     friction_state: np.ndarray | None = None,
     missed: int = 0,
 ) -> tuple[FilterState, Estimate]:
-    """Process the measurements of one tick and predict to the present, with the stages of a tick.
+    """Correct the filter with the measurements of one tick and predict the present state, by the stages of a real tick.
 
     Args:
-        model: the hand. state: from the last tick. measured: at the last tick's instant.
-        force: (N,) motor force that acted since, without what friction takes [N].
-        rate: (N,) planned rate of the tension [N/s].
-        contact: per digit, whether it is known to touch.
-        friction_state: (N,) how far friction is developed where that is known.
-        missed: ticks that were skipped since.
+        model: the hand. state: of the filter after the last tick. measured: readings that the sensors took at the last
+            tick.
+        force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
+        rate: (N,) rate at which the tension of each tendon is planned to change [N/s].
+        contact: for each digit, whether it is known to touch an object.
+        friction_state: (N,) how far the friction of each tendon is developed, where that is known.
+        missed: number of ticks that were skipped since the last tick.
     """
     run = state_of(model, state)
     read(run, measured)
@@ -136,7 +143,7 @@ def tick(
 
 
 def state_at_rest(model: HandModel, tension: float, closed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return state (N, 7) and motor forces of a hand at rest with all joints at ``closed`` [rad]."""
+    """Return the states (N, 7) and motor forces (N,) of a hand that rests with all joints at ``closed`` [rad]."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), closed)
     x[:, X] = x[:, S] + tension / model.space.stiffness
@@ -146,14 +153,14 @@ def state_at_rest(model: HandModel, tension: float, closed: float) -> tuple[np.n
 def step(
     model: HandModel, state: FilterState, measured: Readings, force: np.ndarray, contact: tuple[bool, ...]
 ) -> tuple[FilterState, Estimate]:
-    """Run a tick without a planned change of tension."""
+    """Run one tick of the filter in which no change of tension is planned."""
     return tick(model, state, measured, force, np.zeros(model.tendon_count), contact)
 
 
 def noiseless_readings(
     model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False
 ) -> Readings:
-    """Return noiseless sensor readings of a state (N, 7) with given tensions, with joint encoders on request."""
+    """Return noiseless readings of filter states (N, 7) and tensions (N,). ``excursion`` adds joint encoders."""
     return empty_readings(model)._replace(
         travel=x[:, X].copy(),
         tension=tension,
@@ -162,12 +169,12 @@ def noiseless_readings(
 
 
 def all_in_regime(model: HandModel, regime: Regime, x: np.ndarray) -> FilterState:
-    """Return every tendon in one regime, with all digits away from their stops."""
+    """Return a filter state with every tendon in the same regime. No digit is on its open stop."""
     return FilterState.of(x.ravel(), regime, stopped=False)
 
 
 def no_contact(model: HandModel) -> tuple[bool, ...]:
-    """Return that no digit is in contact."""
+    """Return the contact flags of a hand whose digits touch no object, one False per digit."""
     return (False,) * len(model.digits)
 
 
@@ -182,7 +189,10 @@ def start(model: HandModel, state: FilterState, travel: np.ndarray, cells: bool 
 
 
 def corrected_state(model: HandModel, state: FilterState, measured: Readings) -> State:
-    """Return the state of a free hand after the measurement update, before the prediction."""
+    """Return a controller's state after the filter's measurement update, before its prediction.
+
+    No digit is in contact.
+    """
     run = state_of(model, state)
     read(run, measured)
     stages.correct_estimate(run.block, run.layout.places, *constants(model))
@@ -190,13 +200,13 @@ def corrected_state(model: HandModel, state: FilterState, measured: Readings) ->
 
 
 def state_of(model: HandModel, filtered: FilterState) -> State:
-    """Return the state of a controller with the given filter state."""
+    """Return a controller's state that contains the given filter state."""
     run = active_state(model)
-    run.mode = Mode.ARMING  # this mode uses planned contacts, and detects none
+    run.mode = Mode.ARMING  # in this mode the filter takes contacts from the plan, and detects none
     write_filter_state(run, filtered)
     return run
 
 
 def parts(model: HandModel, kinds: tuple[int, ...], name: str) -> np.ndarray:
-    """Return a part of the filter design of each tendon in its regime, (N, ...)."""
+    """Return one array of the filter design for each tendon (N, ...), selected by the tendon's regime."""
     return np.array([getattr(own[kind], name) for own, kind in zip(model.filter.blocks, kinds, strict=True)])

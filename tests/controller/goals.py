@@ -1,4 +1,4 @@
-"""Goals of a whole hand, for tests of the control law."""
+"""Goals for all digits of a hand, for tests of the control law."""
 
 import math
 
@@ -12,7 +12,10 @@ from handctl.core.model import HandModel
 def moving_goals(
     model: HandModel, start: float, end: float, duration: float | tuple[float, ...], since: float = 0.0
 ) -> tuple[DigitGoal, ...]:
-    """Return goals that move every digit between two angles [rad], all in one duration [s] or each in its own."""
+    """Return goals that move every digit from ``start`` to ``end`` [rad].
+
+    ``duration`` is one value for all digits, or one for each [s].
+    """
     durations = duration if isinstance(duration, tuple) else (duration,) * len(model.digits)
     sizes = [digit.coupling.shape[1] for digit in model.digits]
     return tuple(
@@ -24,7 +27,7 @@ def moving_goals(
 def holding_goals(
     model: HandModel, tension: float, rate: float = 200.0, limit: float = math.inf
 ) -> tuple[DigitGoal, ...]:
-    """Return goals that hold every tendon at a tension [N]."""
+    """Return goals with which the tendons of all digits hold the same tension [N]."""
     return tuple(
         DigitGoal(Kind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)
         for s in model.digit_tendons

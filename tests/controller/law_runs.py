@@ -1,4 +1,4 @@
-"""Single ticks of the control law for tests: its state between ticks, and its commands."""
+"""Run single ticks of the control law in tests. The module shows the law's state between ticks and its commands."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -22,14 +22,17 @@ from tests.controller.synthetic import Estimate, active_state, constants, contro
 
 
 class LawState(NamedTuple):
-    """State of the control law between two ticks, (N,) each.
+    """State of the control law between two ticks. Each attribute has one value per tendon (N,).
 
     Attributes:
-        setpoint: of the tension loop [N]. integral: its integral part [N]. force: motor force without friction [N].
-        planned: tension of a moving digit a period from now [N]. rate: until then [N/s].
-        trim: makes up for a change of gains [N]; None if it has faded.
-        held: largest tension while safety holds [N]; None while it does not.
-        friction_state: how far friction is developed; NaN where that is not known, None before a command.
+        setpoint: of the tension loop [N]. integral: integral part of the tension loop [N]. force: commanded motor
+            force, without friction [N].
+        planned: tension of a moving digit's tendon one period from now [N]. rate: planned change of the tension until
+            then [N/s].
+        trim: force that compensates a change of gains [N]. None after it has faded.
+        held: limit of the tension while safety holds the hand [N]. None at other times.
+        friction_state: how far the friction of each tendon is developed. NaN where that is not known, None before the
+            first command.
     """
 
     setpoint: np.ndarray
@@ -43,12 +46,12 @@ class LawState(NamedTuple):
 
     @staticmethod
     def initial(n: int) -> "LawState":
-        """Return a state without a command."""
+        """Return the state of the control law of N tendons before its first command."""
         return LawState.idle(np.zeros(n))
 
     @staticmethod
     def idle(tension: np.ndarray) -> "LawState":
-        """Return a state without a command, with tensions (N,) of the tendons [N]."""
+        """Return the state of the control law before its first command, with set-points at given tensions (N,) [N]."""
         return LawState(tension, *np.zeros((4, len(tension))))
 
 
@@ -63,7 +66,7 @@ class Command(NamedTuple):
 
 
 def warm(model: HandModel, limit: np.ndarray) -> np.ndarray:
-    """Temperatures (N,) [degC] of drives that may pull so much [N]; not below the floor and not above the ceiling."""
+    """Return the temperatures (N,) [degC] at which drives are limited to tensions [N] between floor and ceiling."""
     limits = controller_of(model).limits
     fraction = (limit - model.floor) / (model.ceiling - model.floor)
     return limits.temperature_hard - fraction * (limits.temperature_hard - limits.temperature_soft)
@@ -72,7 +75,7 @@ def warm(model: HandModel, limit: np.ndarray) -> np.ndarray:
 def run_control_law(
     model: HandModel, state: State, goals: tuple[DigitGoal, ...], t: float, action: Action
 ) -> None:
-    """Run the command of one tick on a state, with these goals at time t [s]."""
+    """Run the control law of one tick on a controller's state, with given goals at time t [s]."""
     write_goals(model, state.layout, state.block, goals)
     state.decide(progress=replace(state.progress, goals=goals))
     state.goal_time = t
@@ -88,11 +91,13 @@ def step(
     most: np.ndarray | None = None,
     held: np.ndarray | None = None,
 ) -> tuple[LawState, Command]:
-    """Run one tick of the control law for all digits.
+    """Run one tick of the control law for all digits of a hand.
 
     Args:
-        model: the hand. law: from the last tick. estimate: of this instant. goals: per digit. t: time [s].
-        most: (N,) tension that warm drives may pull [N]. held: (N,) the same while safety holds [N].
+        model: the hand. law: state of the control law after the last tick. estimate: of the hand at t. goals: one per
+            digit. t: time [s].
+        most: (N,) limit of the tension by the temperature of each drive [N]. held: (N,) limit of the tension while
+            safety holds the hand [N].
     """
     state = state_with_estimate(model, estimate)
     for name in ("setpoint", "integral", "force", "planned", "rate"):
@@ -120,7 +125,7 @@ def law_state_of(state: State) -> LawState:
 
 
 def command_of(state: State) -> Command:
-    """Return the commands of the control law."""
+    """Return the commands that the control law has written into a controller's state."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
     return Command(*(state.view(name).copy() for name in names))
 
@@ -131,7 +136,10 @@ def _limit(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarray:
 
 
 def limit_of(model: HandModel, state: State) -> np.ndarray:
-    """Return the tension limit (N,) in a state [N], infinite for none. The hand's own limits come in addition."""
+    """Return the tension limits (N,) in a controller's state [N], infinite where there is none.
+
+    The limits of the hand file come in addition.
+    """
     return _limit(state.block, state.layout.places, *constants(model))
 
 
@@ -143,7 +151,7 @@ def _required(block: Block, at: Places, of: Block, of_at: Places, way: np.ndarra
 
 
 def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> np.ndarray:
-    """Return the tensions (N,) at the joints for the torques of a motion (3, J) of the digits that move [N]."""
+    """Return the tensions (N,) [N] whose torques at the joints of the moving digits make a motion ``way`` (3, J)."""
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
     undecided = _required(state.block, state.layout.places, *constants(model), way)
@@ -152,7 +160,7 @@ def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> 
 
 
 def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
-    """Return angles, rates and accelerations (3, J) of the joints on their trajectories at time t [s]."""
+    """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
     run_control_law(model, state, goals, t, Action.PASS)
     return stages.joint_motion(state.block, state.layout.places, *constants(model))

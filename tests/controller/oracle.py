@@ -1,4 +1,4 @@
-"""Independent implementation of the tendon's differential equations and of a steady-state Kalman gain."""
+"""Second, independent implementation of a tendon's differential equations and of a steady-state Kalman gain."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -7,13 +7,13 @@ from handctl.core.estimation.filter_stack import STATES, D, E, FilterBlock, O, R
 from handctl.core.model import HandModel
 
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
-"""Units in which the states are of the order of one."""
+"""Unit of each of the seven filter states. In these units all states are of the order of one."""
 
 
 def rates_of_change(
     model: HandModel, i: int, regime: Regime, state: np.ndarray, force: float, rate: float
 ) -> np.ndarray:
-    """Return the rates of change of the states of tendon i."""
+    """Return the time derivatives of the seven filter states of tendon i."""
     space, gains = model.space, model.gains.filter
     x, v, s, w, d, e, o = state
     f = 0.0
@@ -28,14 +28,14 @@ def rates_of_change(
 
 
 def unknown_motor_force(model: HandModel, regime: Regime) -> tuple[float, float, float]:
-    """Return unknown force on the motor [N], its time constant [s] and noise [N]. Friction is least certain at rest."""
+    """Return the deviation [N], time constant [s] and noise [N] of the unknown force on a motor."""
     kind = "held" if regime == Regime.HELD else "motor"
     names = ("disturbance_N", "disturbance_time_s", "acceleration_noise_N")
     return tuple(getattr(model.gains.filter, f"{kind}_{name}") for name in names)
 
 
 def jacobians(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray]:
-    """Return A and B column by column. The equations are linear."""
+    """Return the matrices A and B of a tendon's linear differential equations, found column by column."""
     zero = np.zeros(STATES)
     A = np.column_stack([rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATES)])
     return A, np.column_stack([rates_of_change(model, i, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))])
@@ -44,8 +44,9 @@ def jacobians(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.
 def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
     """Return the spectral density of the process noise (STATES, STATES).
 
-    A Gauss-Markov state with standard deviation sigma and time constant tau has 2 sigma^2 / tau, a random
-    walk has sigma^2 / tau. A free digit follows the spool, so the noise of the spool acts on it too.
+    The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
+    sigma^2 / tau. That of a random walk is sigma^2 / tau. A free digit follows the spool, so the
+    noise of the spool acts on it too.
     """
     space, gains = model.space, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
@@ -69,7 +70,10 @@ def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
 
 
 def over_one_period(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return F, B and noise covariance of one period in scaled units, by a Runge-Kutta method."""
+    """Return F, B and the noise covariance of one control period in scaled units.
+
+    A Runge-Kutta method integrates them.
+    """
     A, B = jacobians(model, i, regime)
     A, B = A * SCALE / SCALE[:, None], B / SCALE[:, None]
     Q = intensity(model, i, regime) / np.outer(SCALE, SCALE)
@@ -91,7 +95,7 @@ def measurement_noise(model: HandModel, i: int) -> np.ndarray:
 
 
 def covariance_by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Return the steady-state covariance of the prediction by structured doubling (Anderson 1978)."""
+    """Return the steady-state covariance of a Kalman filter's prediction, by structured doubling (Anderson 1978)."""
     A, G, P = F.T, H.T @ np.linalg.solve(R, H), Q
     for _ in range(60):
         middle = np.linalg.inv(np.eye(len(A)) + G @ P)
@@ -103,17 +107,22 @@ def covariance_by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.nd
 
 
 def assumed_measurements(block: FilterBlock, regime: Regime) -> np.ndarray:
-    """Return H (2, 7) of the gain design. Only for a slack tendon it contains the error of the load cell."""
+    """Return the measurement matrix H (2, 7) of the gain design.
+
+    The load cell's error is in H for slack tendons only.
+    """
     H = block.H[:2].copy()
     H[1, E] = float(regime == Regime.SLACK)
     return H
 
 
 def joseph_update(block: FilterBlock, P: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return gain (7, 2) and covariance after an update by encoder and load cell. A mask (2,) marks those present.
+    """Return the gain (7, 2) and the covariance after an update by encoder and load cell.
 
-    The error of the load cell can be distinguished from tension only in slack. In other regimes it is not corrected,
-    but its variance still counts.
+    ``missing`` (2,) marks absent measurements.
+
+    Only in a slack tendon can the load cell's error be distinguished from tension. In other regimes
+    the filter does not correct this error, but its variance still counts.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(missing, 1e12, 1.0))
     H[1, E] = float(block.cell_error_observable)
@@ -124,7 +133,10 @@ def joseph_update(block: FilterBlock, P: np.ndarray, missing: np.ndarray) -> tup
 
 
 def assert_same_covariance(found: np.ndarray, expected: np.ndarray) -> None:
-    """Compare covariances (..., n, n) to 1e-9 of the deviations of the two states that an element is of."""
+    """Assert that covariances (..., n, n) agree.
+
+    Elements may differ by 1e-9 of the deviations of their two states.
+    """
     sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
     size = sigma[..., :, None] * sigma[..., None, :]
     np.testing.assert_array_less(np.abs(found - expected), 1e-9 * size + 1e-300)

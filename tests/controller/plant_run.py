@@ -1,4 +1,4 @@
-"""Run a program on the simulated hand in this process, without bus, clock or log."""
+"""Run a program on the simulated hand inside the test's process, without a bus, a clock or a log."""
 
 import math
 from dataclasses import dataclass, field
@@ -20,14 +20,17 @@ GONE_M = 0.05
 
 @cache
 def model_of(hand: str) -> HandModel:
-    """Return the model of a hand, designed once."""
+    """Return the model of a packaged hand. Its gains are designed once for all calls."""
     return HandModel.of(load_hand(hand), Gains(), RATE_HZ)
 
 
 @dataclass
 class PlantRun:
-    """What happened, a row a tick: time [s], object [m], contact force on each digit [N], estimated tension,
-    load cells and true tension [N]; and all events."""
+    """Record of a run, with a row for each tick and all events.
+
+    A row has the time [s], the position of the object [m], the contact force on each digit [N], and
+    the estimated, measured and true tension of each tendon [N].
+    """
 
     t: list[float] = field(default_factory=list)
     place: list[list[float]] = field(default_factory=list)
@@ -38,19 +41,20 @@ class PlantRun:
     events: list[tuple[float, Event]] = field(default_factory=list)
 
     def events_named(self, name: str) -> list[tuple[float, str]]:
-        """Return time and instance of each event with a name."""
+        """Return the time and the place of each event that has a given name."""
         return [(t, event.where) for t, event in self.events if event.name == name]
 
 
 def run_on_plant(
     hand: str, program: Program, scene: str | None, folder: Path, seconds: float, seed: int = 0, **wrong: float
 ) -> PlantRun:
-    """Let a program run on a homed hand.
+    """Run a program on a simulated hand whose motor zeros are known.
 
     Args:
-        hand: packaged name. program: what to do. scene: text of a scene file. folder: for that file.
-        seconds: of simulated time; less if the object is gone. seed: of the simulator.
-        wrong: factors on the plant's parameters that the controller does not know.
+        hand: name of a packaged hand. program: the program to run. scene: text of a scene file. folder: where that file
+            is written.
+        seconds: simulated time. The run ends earlier if the object is lost. seed: of the simulator.
+        wrong: factors on parameters of the plant. The controller does not know them.
     """
     result = PlantRun()
     with Simulator(hand, scene, seed, wrong, homed=True).against(homed_controller(model_of(hand), program)) as run:

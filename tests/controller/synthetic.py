@@ -1,7 +1,8 @@
 """Synthetic estimates, measurements and states of a hand, for tests of the code that uses the filter.
 
-``State`` holds all numbers of a tick. ``Estimate`` and ``Readings`` are the parts of it that tests make up: ``written``
-puts an estimate into a state, and ``estimate_of`` takes it out again.
+``State`` holds all numbers of a tick. ``Estimate`` and ``Readings`` are the parts of a state that
+tests make up. ``state_with_estimate`` puts an estimate into a state, and ``estimate_of`` takes it
+out again.
 """
 
 import functools
@@ -30,11 +31,12 @@ SLACK = 2
 
 
 class Readings(NamedTuple):
-    """Measurements of one tick, (N,) each; NaN where missing.
+    """Measurements of one tick, one value per tendon (N,). A missing measurement is NaN.
 
     Attributes:
-        travel: encoder, at the spool [m]. tension: load cell, tared [N]. excursion: by joint encoders [m].
-        joints: (J,) joint encoders [rad]. saturated: tendons whose load cell is at an end of its range.
+        travel: by motor encoder, at the spool [m]. tension: by load cell, after its tare [N]. excursion: by joint
+            encoders [m].
+        joints: (J,) angles of the joint encoders [rad]. saturated: tendons whose load cell is at an end of its range.
     """
 
     travel: np.ndarray
@@ -45,7 +47,7 @@ class Readings(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Present estimate with the names that programs use, see ``handctl.core.estimate.Estimate``."""
+    """Estimate of the present state of a hand, under the names of ``handctl.core.estimate.Estimate``."""
 
     tension: np.ndarray
     sigma: np.ndarray
@@ -69,13 +71,13 @@ class Estimate(NamedTuple):
 
 
 FIELDS = {"rate": "excursion_rate", "offset": "stretch_offset", "contact_force": "grown"}
-"""Names of fields of the block that are others than those of an estimate."""
+"""Field of the state block for each attribute of an estimate that is named differently there."""
 DERIVED = ("slack", "grip_opening", "grip")
 
 
 @functools.cache
 def controller_of(model: HandModel) -> Controller:
-    """Return a controller of the hand that waits for requests, made once."""
+    """Return a controller of a hand that waits for requests. It is constructed once for each model."""
     return controller(model, LiveProgram())
 
 
@@ -90,27 +92,33 @@ def _blank(model: HandModel) -> State:
 
 
 def interpreted(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the Python function behind a kernel, for functions that only kernels may call."""
+    """Return the Python function that a kernel was compiled from.
+
+    Tests can call it although only kernels may do so.
+    """
     return getattr(function, "py_func", function)
 
 
 def active_state(model: HandModel) -> State:
-    """Return a state of an active hand with a running filter: every tendon taut and free, off its stop."""
+    """Return the state of an active hand with a running filter.
+
+    Every tendon is taut, every digit is free and off its stop.
+    """
     return _blank(model).copy()
 
 
 def constants(model: HandModel) -> tuple[Block, Places]:
-    """Return the last two arguments of every stage: the constants of the hand and their layout."""
+    """Return the last two arguments of every stage of a tick: the constants of a hand and their layout."""
     return controller_of(model)._constants
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:
-    """Return the constants by table, for interpreted functions."""
+    """Return the constants of a hand by table. Functions from ``interpreted`` take them in this form."""
     return interpreted(constant_tables)(*constants(model))
 
 
 def state_with_estimate(model: HandModel, estimate: Estimate) -> State:
-    """Return a state of an active hand with a given estimate."""
+    """Return the state of an active hand that contains a given estimate."""
     state = active_state(model)
     for name, value in estimate._asdict().items():
         if name not in DERIVED:
@@ -120,19 +128,19 @@ def state_with_estimate(model: HandModel, estimate: Estimate) -> State:
 
 
 def estimate_of(state: State) -> Estimate:
-    """Return the estimate in a state, as copies."""
+    """Return copies of the estimates that a controller's state contains."""
     seen = state.estimate
     own = {name: state.view("cell_error") if name == "cell_error" else getattr(seen, name) for name in Estimate._fields}
     return Estimate(**{name: np.array(value) for name, value in own.items()})
 
 
 class LoadStatics(NamedTuple):
-    """Known forces along the tendons, (N,) [N]: spring and gravity loads, and the tension after friction.
+    """Known forces along each tendon (N,) [N]: the load of springs and gravity, and the tension that friction leaves.
 
     Attributes:
-        resistance: tension that springs and gravity balance.
-        eager: of the tension, friction by the speed at the spool taken off.
-        pull: the same, by what is known of friction where it is.
+        resistance: tension that balances springs and gravity.
+        eager: tension minus friction. The speed at the spool gives the direction of friction.
+        pull: tension minus friction. The known state of friction is used where there is one.
     """
 
     resistance: np.ndarray
@@ -150,7 +158,7 @@ def load_statics(
 ) -> LoadStatics:
     """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
 
-    The offset of the tendons is chosen so that they do; nothing else of it matters here.
+    The stretch offset of each tendon is chosen such that the tendon has its given tension.
     """
     state, space = active_state(model), model.space
     state.tendon[s.TRAVEL : s.TRAVEL + STATES] = table.T
@@ -170,12 +178,12 @@ def _efficiency(of: Block, of_at: Places, q: np.ndarray, tendons: int) -> np.nda
 
 
 def efficiency(model: HandModel, q: np.ndarray) -> np.ndarray:
-    """Return the fraction of each tension (N,) that acts at the joints while winding, at joint angles (J,) [rad]."""
+    """Return the fraction of each tension (N,) that reaches the joints at angles (J,) [rad] while the motor winds."""
     return np.asarray(_efficiency(*constants(model), np.asarray(q, dtype=np.float64), model.tendon_count))
 
 
 def exact_estimate(model: HandModel, x: np.ndarray) -> Estimate:
-    """Return an estimate that equals a state (N, 7) exactly, with taut tendons and free digits."""
+    """Return an estimate that equals filter states (N, 7) exactly. All tendons are taut and all digits free."""
     n = model.tendon_count
     q, dq = np.zeros(len(model.hand.joints)), np.zeros(len(model.hand.joints))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -208,7 +216,7 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> Estimate:
 
 
 def balanced_state(model: HandModel, closed: float) -> np.ndarray:
-    """Return a state (N, 7) in balance with springs and weight, with all coordinates at ``closed`` [rad]."""
+    """Return filter states (N, 7) that balance springs and weight, with all coordinates at ``closed`` [rad]."""
     x = np.zeros((model.tendon_count, STATES))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], closed)
@@ -219,30 +227,30 @@ def balanced_state(model: HandModel, closed: float) -> np.ndarray:
 def estimate_under_tension(
     model: HandModel, tension: float | np.ndarray, closed: float = 0.0
 ) -> Estimate:
-    """Return an estimate of a hand at rest with a given tension in its tendons."""
+    """Return the estimate of a hand at rest whose tendons have given tensions."""
     return exact_estimate(model, balanced_state(model, closed))._replace(
         tension=np.full(model.tendon_count, 1.0) * tension
     )
 
 
 def slack(model: HandModel) -> Estimate:
-    """Return an estimate of a hand with slack tendons."""
+    """Return the estimate of a hand whose tendons are all slack."""
     return estimate_under_tension(model, 0.0)._replace(
         slack=np.ones(model.tendon_count, dtype=bool)
     )
 
 
 def empty_readings(model: HandModel) -> Readings:
-    """Return the readings of a tick without frames."""
+    """Return the readings of a tick in which no frame arrived."""
     n, joints = model.tendon_count, len(model.hand.joints)
     return Readings(np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan))
 
 
 def detect_contacts(model: HandModel, state: State, estimate: Estimate) -> Estimate:
-    """Return the estimate after contact detection of a tick. The state stores the contacts and the closing digits.
+    """Return an estimate after contact detection. The state then contains the contacts and the closing digits.
 
     Args:
-        model: the hand. state: of the tick before, in which this one is written. estimate: of this tick.
+        model: the hand. state: of the last tick. The present tick is written into it. estimate: of the present tick.
     """
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED, "grown"):

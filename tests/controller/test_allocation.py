@@ -1,4 +1,4 @@
-"""Allocation compared with a bounded least-squares solver, its bounds, and feasible torques."""
+"""Test the tensions that are allocated for joint torques, and compare them with a bounded least-squares solver."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,10 @@ DIGITS = {
     for name, digit in (("jamia", "index"), ("jamia11", "index"), ("jamia11", "thumb"))
 }
 EXTENSOR = np.array([[9e-3, 0.0, 0.0], [3e-3, 6e-3, 0.0], [3e-3, 3e-3, 3e-3], [-9e-3, -6e-3, -3e-3]])
-"""Four tendons on three joints, the last one opens all of them: radii 3:2:1 (N + 1 class)."""
+"""Moment arms of four tendons on three joints [m].
+
+The last tendon opens all joints, with radii 3:2:1 (N + 1 class).
+"""
 
 
 def arms_of(case: str) -> np.ndarray:
@@ -47,14 +50,14 @@ def test_feasible_torques_are_made_exactly(case: str) -> None:
 
 
 def cost(arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.ndarray) -> float:
-    """Return the cost that the module states in its docstring."""
+    """Return the cost of tensions, as the docstring of the allocation module defines it."""
     r = np.abs(arms).mean()
     return float(((arms.T @ tension - torque) ** 2).sum() / r**2 + REGULARISATION * ((tension - floor) ** 2).sum())
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_bounded_solution_has_the_smallest_error(case: str) -> None:
-    """scipy's bounded least squares finds no tensions with a smaller cost for any torque."""
+    """For no torque does the bounded least-squares solver of scipy find tensions with a smaller cost."""
     arms, rng = arms_of(case), np.random.default_rng(2)
     n, r = len(arms), np.abs(arms).mean()
     outside = 0

@@ -1,4 +1,7 @@
-"""Hands without return springs: n + 1 tendons a digit commission, track, grasp and release against the simulator."""
+"""Hands without return springs commission, track, grasp and release in the simulator.
+
+Their digits have n + 1 tendons for n joints.
+"""
 
 import os
 from collections.abc import Iterator
@@ -29,20 +32,26 @@ SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 @cache
 def n_plus_1() -> Hand:
-    """Two fingers of three joints with four tendons each, and a thumb of two joints with three tendons."""
+    """Return a hand with two fingers and a thumb.
+
+    A finger has three joints and four tendons, the thumb two and three.
+    """
     return load_hand(HAND)
 
 
 @cache
 def without_encoders() -> Hand:
-    """The same hand without joint encoders: the lower joint limits are the reference of the motor zeros."""
+    """Return the same hand without joint encoders. Its motor zeros refer to the lower joint limits."""
     content = hand_content("n_plus_1")
     return hand_from_content(content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders")
 
 
 @cache
 def two_n() -> Hand:
-    """The same hand, but its thumb has two tendons per joint: a flexor and an extensor each."""
+    """Return the same hand with another thumb.
+
+    Each joint of this thumb has two tendons, a flexor and an extensor.
+    """
     content = hand_content("n_plus_1")
     base = content["tendon"][-1]
     motor = content["motor"][-1]
@@ -64,12 +73,12 @@ def two_n() -> Hand:
 
 @cache
 def model() -> HandModel:
-    """The model at the test's rate."""
+    """Return the model of the hand at the control rate of these tests."""
     return HandModel.of(n_plus_1(), Gains(), RATE_HZ)
 
 
 def moves(*angles: tuple[float, float]) -> Task:
-    """Return a task of moves: angle of all joints [deg] and duration [s]."""
+    """Return a task of moves. Each pair is the angle of all joints [deg] and the duration of a move [s]."""
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
         for i, (angle, duration) in enumerate(angles)
@@ -80,7 +89,7 @@ def moves(*angles: tuple[float, float]) -> Task:
 def ticks_of(
     peer: SimulatedHand, program: Program, calibration: Calibration | None, first: int, hand: Hand | None = None
 ) -> tuple[Simulation, Iterator[None]]:
-    """Begin a run of a program at a tick, on a hand that may have run before."""
+    """Begin a run of a program at tick ``first``. The simulated hand may have run before."""
     controller = make_controller(hand or n_plus_1(), Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = Simulation.of(controller, peer)
     run.k = first
@@ -100,7 +109,10 @@ HANDS = {"n + 1": n_plus_1, "n + 1 without joint encoders": without_encoders, "2
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("kind", HANDS)
 def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(kind: str, seed: int) -> None:
-    """The motor zeros are those of the simulator, and the joints follow within a degree."""
+    """The motor zeros that commissioning finds are those of the simulator.
+
+    The joints follow their goals within a degree.
+    """
     hand = HANDS[kind]()
     period_ns = round(1e9 / RATE_HZ)
     with Simulator(hand, None, seed).peer(period_ns) as peer:
@@ -112,7 +124,8 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(kind: str
         calibration = calibration_of_result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_N, abs=0.8)
-        # The encoder reads its offset where the tendon is just taut and the digit open. 0.1 mm is a degree of a finger.
+        # The motor encoder reads its offset where the tendon is just taut and the digit open. An
+        # error of 0.1 mm is one degree of a finger.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         found = (calibration.zero(hand) - offset) * run.controller.model.space.spool
         np.testing.assert_allclose(found, 0.0, atol=5e-5)

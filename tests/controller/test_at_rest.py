@@ -1,4 +1,4 @@
-"""A hand that has rested at its target for a second or an hour, and is then touched."""
+"""A hand that has rested at its target for a short or a long time, and is then touched."""
 
 import math
 
@@ -14,7 +14,7 @@ from tests.controller.synthetic import active_state, constants
 
 @pytest.mark.parametrize("rest_s", [0.2, 5.0])
 def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float) -> None:
-    """Regression: after a move to 40 deg, a motor at rest counted as stuck when its digit was touched."""
+    """Regression: after a move to 40 deg, a motor at rest was taken for a stuck motor when its digit was touched."""
     state, period = active_state(jamia), jamia.period
     far = np.full(len(jamia.hand.joints), math.radians(40.0))
 

@@ -1,4 +1,7 @@
-"""The state block: its schema, the views of the kernels, and the digest, which covers every field."""
+"""Test the state block: its schema, the views that kernels have of it, and its digest.
+
+The digest covers every field.
+"""
 
 import ast
 import inspect
@@ -46,7 +49,7 @@ def names_of(of: list[Field]) -> list[str]:
     return [field.name for field in of]
 
 
-# Schema and layout.
+# Schema of a block and its layout.
 
 
 def small_schema() -> tuple[Schema, dict[str, int]]:
@@ -73,7 +76,7 @@ def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
 
 
 def test_new_field_needs_one_line() -> None:
-    """A new field gets the next row of its table. Existing fields keep their names and shapes."""
+    """A new field gets the next row of its table. The existing fields of the table keep their names and shapes."""
     (before, axes), (after, _) = small_schema(), small_schema()
     row = after.real("speed", "tendon", "m/s", "of a tendon", initial=7.0)
     old, new = before.layout(axes), after.layout(axes)
@@ -103,9 +106,9 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
 
 @pytest.fixture(params=["jamia", "jamia11"])
 def state(request: pytest.FixtureRequest) -> State:
-    """Return a random state whose integers and floats all differ."""
+    """Return a controller's state of random numbers. No two of its integers or floats are equal."""
     model: HandModel = request.getfixturevalue(request.param)
-    # A position loop in a drive, so that no table is empty.
+    # A drive of this hand closes a position loop, so that no table of the state is empty.
     axes = layout_of_state(model, 3).axes | {"servo": model.tendon_count}
     layout, rng = STATE.layout(axes), np.random.default_rng(5)
     block = layout.initial.copy()
@@ -117,7 +120,10 @@ def state(request: pytest.FixtureRequest) -> State:
 
 
 def constants_by_field(module: Any) -> dict[str, str]:
-    """Return the name of the constant with the first row of each field, from the source of a module."""
+    """Return the name of the constant that holds the first row of each field.
+
+    The names are read from a module's source.
+    """
     declared = {}
     for node in ast.parse(inspect.getsource(module)).body:
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and isinstance(node.targets[0], ast.Name):
@@ -160,7 +166,10 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
 def test_a_difference_names_its_field(state: State, field: Field) -> None:
-    """The named difference is the first in the order of the schema, with its element and both values."""
+    """The message names the first field that differs, in the order of the schema.
+
+    It has the element and both values.
+    """
     other = state.copy()
     values = other.view(field.name).reshape(-1)
     at = len(values) // 2
@@ -185,11 +194,14 @@ def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: State) -> None
     assert found[:2] == ("sigma", 0)
 
 
-# Constants of a hand.
+# Block of the constants of a hand.
 
 
 def random_hand(seed: int) -> HandModel:
-    """Return digits of a packaged hand or of a hand with 15 motors, with other masses, springs and friction."""
+    """Return some digits of a packaged hand or of a hand with 15 motors.
+
+    Masses, springs and friction are varied at random.
+    """
     chance = random.Random(seed)
     raw: dict[str, Any] = fifteen_motors()
     if seed % 3:
@@ -212,7 +224,7 @@ VARIED = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "
 
 
 def _varied(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
-    """Return a section with other numbers."""
+    """Return a section of a hand file with its numbers varied at random."""
     found = dict(one)
     for key in VARIED:
         if key in found:
@@ -224,7 +236,7 @@ def _varied(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
 def packed_constants(
     model: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[HandConstants, dict[str, object]]:
-    """Return the constants of a hand, and the packed values by field."""
+    """Return the constants of a hand, and for each field the value that was packed into them."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
     for part in ("_motor_constants", "_law_constants", "_link_constants", "_structure_constants", "_posture_constants"):
         own = getattr(hand_constants, part)(model)
@@ -263,12 +275,15 @@ def test_every_constant_that_kernels_see_is_what_was_packed(hand: str | int, mon
         assert np.shares_memory(rows, found.block)
 
 
-# Digest.
+# Digest of a state.
 
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
 def test_every_element_of_every_field_changes_the_digest(active: Bench, field: Field) -> None:
-    """Change each element by one unit in the last place. Ordinary runs take 16 elements of each field."""
+    """Change each element of a state by one unit in the last place.
+
+    By day the test takes only 16 elements of each field.
+    """
     state = active.state
     seen = {state.digest()}
     size = state.view(field.name).size
@@ -297,7 +312,10 @@ def goals() -> Iterator[tuple[str, DigitGoal]]:
 
 
 def progresses(before: Progress) -> Iterator[tuple[str, Progress]]:
-    """Yield progress with one changed part, for every part, and with goals changed in every part."""
+    """Yield a program's progress with one part changed, for each of its parts.
+
+    The goals are changed part by part.
+    """
     grip = Grip(np.full(4, 20.0), np.full(4, np.nan), 1.0)
     values: dict[str, list[Any]] = {
         "step": [before.step + 1], "since": [before.since + 1e-9], "phase": ["x"], "finished": [True],
@@ -322,7 +340,7 @@ OTHER_STREAM = {
 
 
 def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
-    """Yield decisions with one changed part, for every part."""
+    """Yield a controller's decisions with one part changed, for each of their parts."""
     pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [before.drives[::-1]],
@@ -364,7 +382,7 @@ def test_every_decision_changes_the_digest(active: Bench) -> None:
 
 
 def other_values(value: Any) -> list[Any]:
-    """Return other values of the same type. A named tuple changes in one part at a time."""
+    """Return other values of the same type as a value. Those of a named tuple differ from it in one part each."""
     if isinstance(value, bool):
         return [not value]
     if isinstance(value, Phase):
@@ -380,7 +398,7 @@ def other_values(value: Any) -> list[Any]:
 
 @pytest.mark.parametrize("name", DriveState._fields)
 def test_everything_that_is_known_of_a_drive_changes_the_digest(active: Bench, name: str) -> None:
-    """Values of a drive are in the block, and its set-up is among the decisions."""
+    """The digest covers a drive's values, which are in the block, and its set-up, which is among the decisions."""
     state = active.state
     seen = {state.digest()}
     for n, drive in enumerate(state.drives):

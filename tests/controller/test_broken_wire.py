@@ -1,4 +1,4 @@
-"""A load cell with a broken wire, in the whole controller."""
+"""Test how the whole controller reacts to a load cell with a broken wire."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from tests.controller.bench import Bench, bench
 
 @pytest.mark.parametrize("tare", [-3.0, 0.0, 5.0])
 def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: float) -> None:
-    """An empty channel is no valid tension for any tare of the load cell."""
+    """The reading of a broken wire is no valid tension, with any tare of its load cell."""
     model, n = jamia, jamia.tendon_count
     run = bench(model, LiveProgram())
     run.controller = replace(run.controller, tare=np.full(n, tare))
@@ -28,17 +28,17 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
 
 
 def at_the_rail(model: HandModel) -> Bench:
-    """Return an active hand that relaxes in this tick, because a load cell is at its upper rail."""
+    """Return a hand that begins to relax in its last tick, because a load cell is at the upper end of its range."""
     run = bench(model, LiveProgram())
     run.until(Mode.ACTIVE)
-    run.peer.bias[:] = 60.0  # the tension stays high, so RELAX goes on
+    run.peer.bias[:] = 60.0  # all load cells keep reading a high tension, so RELAX does not end
     run.peer.bias[1] = 300.0
     run.until(Mode.RELAX)
     return run
 
 
 def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
-    """The saturated reading may be the only evidence of a drive that does not obey."""
+    """The saturated load cell may be the only evidence that a drive does not obey."""
     run = at_the_rail(jamia)
     began = run.state.mode_since
     run.until(Mode.CUT)

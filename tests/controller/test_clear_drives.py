@@ -1,4 +1,7 @@
-"""After a controller died and watchdogs latched, only a request of the operator enables the drives again."""
+"""A controller has died, and the watchdogs of the drives have latched.
+
+Only a request of the operator enables the drives again.
+"""
 
 import pytest
 
@@ -15,7 +18,7 @@ CLEAR = '{"do": "clear"}'
 
 @pytest.fixture
 def hand_after_crash() -> Bench:
-    """Return a hand whose last controller died while the hand was armed."""
+    """Return a bench whose hand was armed when its previous controller died."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     for motor in run.peer.motors:
         motor.nibble = COMMUNICATION_LOST

@@ -1,4 +1,7 @@
-"""Lease of the commanding client in lockstep: a silent client's digits come to rest, then the hand relaxes."""
+"""Test the lease of a client that commands a hand in lockstep.
+
+If the client is silent, first its digits come to rest, and then the hand relaxes.
+"""
 
 import json
 from typing import Any
@@ -16,19 +19,19 @@ LEASE_S = 0.5
 
 
 def lease_events(client: Client) -> list[str]:
-    """Return the texts of the events about leases so far."""
+    """Return the texts of all events about a client's lease so far."""
     return [event.text for out in client.outs for event in out.events if event.name == "lease"]
 
 
 def wait_alive(client: Client, seconds: float, every_s: float = 0.1) -> None:
-    """Run ticks in which a client tells that it is alive."""
+    """Run ticks for a time. The client sends its sign of life every ``every_s`` seconds."""
     for _ in range(round(seconds / every_s)):
         client.tick(alive_text(client.name))
         client.wait(every_s - client.model.period)
 
 
 def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -> None:
-    """Regression: the hand kept pulling without a time limit."""
+    """Regression: after a hold the hand kept pulling without a time limit."""
     with live(jamia) as client:
         client.ask("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
         wait_alive(client, 3.0 * LEASE_S)
@@ -77,7 +80,7 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("after", ["no lease", "leave", "another"])
 def test_a_lease_ends(jamia: HandModel, after: str) -> None:
-    """With a command without a lease, with the command itself, and with another client's command."""
+    """A lease ends with a command that has no lease, with leaving the command, and with another client's command."""
     with live(jamia) as client:
         client.ask("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
         if after == "leave":
@@ -114,7 +117,7 @@ def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) ->
 
 
 def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> None:
-    """Also from a snapshot in the middle."""
+    """The ticks repeat from the start, and also from a snapshot in the middle of the run."""
     with live(jamia) as client:
         client.ask("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)
         wait_alive(client, LEASE_S)

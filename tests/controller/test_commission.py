@@ -1,4 +1,4 @@
-"""Commissioning of a synthetic hand: results, and every fault of a tendon."""
+"""Test the commissioning of a synthetic hand: its results, and its response to each fault of a tendon."""
 
 import os
 import re
@@ -30,7 +30,10 @@ from tests.hand.many import fifteen_motors
 
 @pytest.fixture(scope="module")
 def jamia() -> HandModel:
-    """Return the hand at a low rate, which makes the tests fast. All times are in seconds."""
+    """Return the model of ``jamia`` at a low control rate.
+
+    The low rate makes the tests fast, and all times are in seconds.
+    """
     return HandModel.of(load_hand("jamia"), Gains(), 50.0)
 
 
@@ -43,7 +46,7 @@ BIAS_N, JUST_TAUT_M = 0.7, 1.2e-3
 SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
 Cells = Callable[[int], np.ndarray]
-"""Tensions at all load cells while tendon i is pulled; -1: while all are limp."""
+"""Function that returns the tension at each load cell while tendon i is pulled. With i = -1 all tendons are limp."""
 
 
 def good(model: HandModel) -> Cells:
@@ -59,9 +62,11 @@ def run_commissioning(
     drift: float = 0.0,
     seed: int = 7,
 ) -> Progress:
-    """Run the program. Tendon ``never`` never becomes taut, and a fraction ``loss`` of the ticks has no frames.
+    """Run the commissioning program.
 
-    Each load cell's zero walks at random by ``drift`` [N] in 100 s.
+    Tendon ``never`` does not become taut. A fraction ``loss`` of the ticks has no frames.
+
+    The zero of each load cell drifts as a random walk of ``drift`` [N] rms in 100 s.
     """
     rng, program = np.random.default_rng(seed), CommissionProgram()
     progress, n = program.initial(model), model.tendon_count
@@ -121,7 +126,10 @@ def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
 
 
 def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> None:
-    """Tension in the second tendon moves the first cell: tendons touch, or a cell is wired to two channels."""
+    """Tension in the second tendon changes the reading of the first load cell.
+
+    Tendons touch, or a cell has two channels.
+    """
 
     def cells(i: int) -> np.ndarray:
         tension = good(model)(i)
@@ -141,7 +149,10 @@ def fifteen() -> HandModel:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fifteen: HandModel, seed: int) -> None:
-    """The drift is twice that of the packaged hands: 0.9 N rms at the end, the limit of crosstalk."""
+    """The load cells drift twice as fast as those of packaged hands.
+
+    The drift of 0.9 N rms at the end is the limit of crosstalk.
+    """
     progress = run_commissioning(fifteen, good(fifteen), drift=2.0, seed=seed)
     assert not progress.failure
     found = calibration_of_result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
@@ -150,7 +161,10 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fi
 
 
 def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
-    """A zero that drifts by 0.1 N/s from the first tick of rest has the value just before the pull."""
+    """The tare is the zero of the load cell just before the pull.
+
+    The zero drifts by 0.1 N/s from the first tick of rest.
+    """
     drifted = [0.0]
 
     def cells(i: int) -> np.ndarray:
@@ -176,7 +190,10 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen: HandModel) -> None:
 
 
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
-    """A tendon pulled before relaxes by 2 N/s, so that its load cell reads 1.4 N at rest and 0 N in the next pull."""
+    """A tendon that was pulled relaxes by 2 N/s.
+
+    Its load cell reads 1.4 N at rest, and 0 N when the next tendon is pulled.
+    """
     held = np.zeros(jamia.tendon_count)
 
     def cells(i: int) -> np.ndarray:
@@ -190,7 +207,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
 
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
-    """A relaxing tendon cannot fall by more than its tension left from the last pull."""
+    """The tension of a relaxing tendon cannot fall by more than the last pull has left in it."""
 
     def cells(i: int) -> np.ndarray:
         return good(jamia)(i) - 0.5 * PULL_N * (i == 2) * (np.arange(jamia.tendon_count) == 0)
@@ -207,19 +224,22 @@ def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
 
 @pytest.fixture(scope="module")
 def faster() -> HandModel:
-    """Return the hand at a rate at which the tension loop does not oscillate."""
+    """Return the model of ``jamia`` at a control rate at which its tension loop does not oscillate."""
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
 def whole(faster: HandModel) -> Bench:
-    """Return the program in a controller, with a hand of scripted motors."""
+    """Return a bench whose controller runs the commissioning program on a hand with scripted motors."""
     return bench(faster, CommissionProgram())
 
 
 @pytest.mark.parametrize("bias", [-2.0, *(pytest.param(bias, marks=pytest.mark.nightly) for bias in (0.0, 2.0)), 4.5])
 def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: float) -> None:
-    """After the tare the tension loop uses tared readings. Otherwise it would pull with the bias."""
+    """After the tare the tension loop uses tared readings of the load cells.
+
+    Raw readings would add their bias to the pull.
+    """
     whole.peer.bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
     whole.until(Mode.DONE, 30.0)
     assert not whole.state.failure
@@ -238,7 +258,7 @@ def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
 
 @pytest.mark.parametrize(("tare", "refused"), [(-4.1, True), (-3.9, False), (5.9, False), (6.1, True)])
 def test_a_tare_too_near_to_an_end_of_the_range_is_refused(model: HandModel, tare: float, refused: bool) -> None:
-    """The message names the load cell that is nearest to an end, even if another cell reads more."""
+    """The message names the load cell that is nearest to an end of its range, even if another cell reads more."""
 
     def cells(i: int) -> np.ndarray:
         tension = good(model)(i) - BIAS_N
@@ -257,7 +277,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(model: HandModel, tar
 
 
 def program_after_tare(model: HandModel, cells: Cells) -> Progress:
-    """Return the program after its tare."""
+    """Return the progress of the commissioning program just after its tare."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:
         measured = empty_readings(model)._replace(tension=cells(-1) + BIAS_N)

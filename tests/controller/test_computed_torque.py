@@ -1,4 +1,8 @@
-"""The control law: bounded for any input, bumpless between its two loops, and exact with an exact model."""
+"""Test the control law.
+
+It is bounded for any input, switches without a step between its two loops, and is exact with an
+exact model.
+"""
 
 import math
 from dataclasses import replace
@@ -30,7 +34,10 @@ from tests.controller.synthetic import (
 
 @pytest.mark.parametrize("gain", [None, 0.5, 1.0, 1.7])
 def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | None) -> None:
-    """Division by spool radius and gain, then multiplication, may exceed the limit by one bit."""
+    """The limit is divided by spool radius and gain and then multiplied again.
+
+    Rounding may exceed the limit by one bit.
+    """
     hand = load_hand("jamia")
     gains = None if gain is None else np.full(len(hand.tendon), gain)
     beyond = 0
@@ -113,7 +120,7 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
 
 
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
-    """Regression case: a silent load cell must not cause integrator windup."""
+    """Regression: the integral part of the tension loop must not grow without limit while a load cell is silent."""
     law = LawState.initial(model.tendon_count)
     silent = exact_estimate(model, np.zeros((model.tendon_count, STATES)))
     for k in range(300):
@@ -137,7 +144,7 @@ def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
 
 
 def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
-    """Even with a soft loop, a commanded tension of 3 N must make the tendon taut."""
+    """Even with a soft tension loop, a commanded tension of 3 N makes a slack tendon taut."""
     law = LawState.idle(np.zeros(model.tendon_count))
     loose = exact_estimate(model, np.zeros((model.tendon_count, STATES)))._replace(
         slack=np.ones(model.tendon_count, dtype=bool)
@@ -166,15 +173,18 @@ def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
 
 
 class Plant:
-    """Rotors, tendons and digits in small time steps, and a controller that gets their exact state.
+    """Rotors, tendons and digits that are simulated in small time steps, and a control law that gets their exact state.
 
     Attributes:
-        x: (N, 7) state.
-        held: whether something holds the digits where they are.
+        x: (N, 7) true states of the tendons.
+        held: whether the digits are fixed where they are.
     """
 
     STEPS = 40
-    """Of integration in a tick: capstan friction turns around within a millimetre per second."""
+    """Number of integration steps in a tick.
+
+    It is large because capstan friction reverses within 1 mm/s of tendon speed.
+    """
 
     def __init__(self, model: HandModel, x: np.ndarray, held: bool) -> None:
         self.model, self.x, self.held = model, x.copy(), held
@@ -211,8 +221,12 @@ class Plant:
 
 
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
-    """What friction takes on average over the period, found by integrating the rotor in small steps; at a slow rate
-    friction stops the rotor within a period, and a prediction that only looks at its beginning sends it back."""
+    """The force that the filter gets is the motor force minus the mean friction over the period.
+
+    The expected friction is found by integrating the rotor in small steps. At a slow control rate,
+    friction stops the rotor within a period. A prediction with the friction at the start of the
+    period would turn the rotor back.
+    """
     rng, n, steps = np.random.default_rng(8), model.tendon_count, 400
     space, dt = model.space, model.period / 400
     errors, naive = [], []
@@ -252,7 +266,7 @@ def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
 
 
 def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
-    """The digit is fixed, and the modelled friction of the motor is wrong by 2 N."""
+    """The digits are fixed, and the control law gets the exact estimate of the tensions."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, X] = 10.0 / model.space.stiffness
     plant = Plant(model, x, held=True)
@@ -293,7 +307,10 @@ def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: Kin
 
 
 def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
-    """Remove the terms one after the other: torque of the digits, inertia, friction, force loop."""
+    """The law has no feedforward of digit torque, inertia and friction, and no feedback of tension.
+
+    Only feedback of motion remains.
+    """
     none = {"inertia_share": 0.0, "friction_share": 0.0, "disturbance_rejection": 0.0, "tension_feedback": 0.0}
     gains = Gains(motion=MotionGains(**none))
     bare = replace(model, gains=gains, inverse=lambda digit, *way: (0.0,) * digit.joint_count)
@@ -310,7 +327,10 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
 
 
 def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None:
-    """Winding with developed friction, the tension changes as the plan's; the cable's speed decides, not the plan's."""
+    """While a tendon winds with developed friction, its tension changes as planned.
+
+    The tendon's measured speed decides its friction, not the planned speed.
+    """
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1
     estimate, goals, law = (

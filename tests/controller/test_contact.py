@@ -1,4 +1,7 @@
-"""Contact on the plant: detected soon after the force is large enough, and never without contact."""
+"""Test contact detection in the simulator.
+
+A contact is detected soon after its force is large enough, and none is reported in free motion.
+"""
 
 import json
 import math
@@ -28,7 +31,7 @@ position_m = [0.045, 0.0, 0.0]
 [support]
 drop_when = "never"
 """
-"""Too heavy to move, and within reach of the last links only."""
+"""Scene with a wall that is too heavy to move. Only the last links of the fingers reach it."""
 OPEN = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
 
 
@@ -38,7 +41,7 @@ def program(*phases: dict[str, Any]) -> TaskProgram:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
-    """Detection below 1 N passes as well. The benchmark has more speeds and places."""
+    """The contact may also be detected below 1 N. A benchmark covers more speeds and places."""
     closing = {"kind": "close", "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0}, "speed_deg_s": 60.0}
     task = program({"kind": "move", "angle_deg": OPEN, "duration_s": 0.3}, closing, {"kind": "hold", "tension_N": 15.0})
     run = run_on_plant(hand, task, WALL, tmp_path, 2.6)
@@ -53,13 +56,14 @@ def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_pat
 
 
 def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
-    """Return the contacts found while a free hand closes, at 20 to 100 deg/s."""
+    """Return the number of contacts that are reported while a hand closes freely at 20 to 100 deg/s."""
     chance = random.Random(f"free {hand} {seed}")
     phases: list[dict[str, Any]] = []
     planned = 1.0
     while planned < seconds:
         speed, goal = chance.uniform(20.0, 100.0), {"index": chance.uniform(25, 50)}
-        # otherwise the middle finger and the thumb would touch
+        # The thumb and the fingers close in different phases, because the middle finger and the
+        # thumb would touch.
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:
@@ -90,7 +94,10 @@ def test_ten_minutes_of_free_motion_have_no_contact(hand: str, tmp_path: Path) -
 def closing_hand(
     model: HandModel, force: float, ticks: int = 1, closing: int = 1, **remembered: float
 ) -> State:
-    """A hand whose first digit, or more, closes with a force at the tips [N]; what was felt so far by its names."""
+    """Return the state of a hand whose first ``closing`` digits close with a force at the tips [N].
+
+    ``remembered`` sets other fields of the state, which earlier ticks would have written.
+    """
     state, unit = (
         active_state(model),
         exact_estimate(model, balanced_state(model, 0.3))._replace(
@@ -109,21 +116,27 @@ def closing_hand(
 
 
 def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
-    """Near the end of its motion the thumb's force estimate is 0.35 N too low, and the contact reaches only 0.2 N."""
+    """The force estimate of the free thumb is -0.35 N near the end of its motion.
+
+    In contact it reaches only 0.2 N.
+    """
     for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = closing_hand(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
         assert state.view("grown")[0] == pytest.approx(counts)
 
 
 def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
-    """A load cell has drifted by 0.5 N in half a minute."""
+    """A positive force over a long time is drift of a load cell, for example by 0.5 N in half a minute."""
     for drift, counts in ((0.2, 0.15), (-0.2, 0.35)):
         state = closing_hand(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
         assert state.view("grown")[0] == pytest.approx(counts)
 
 
 def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
-    """The mean forgets the forces of other digits, except the drift of their load cells."""
+    """A closing digit's mean tip force follows with ``MEAN_S``, its drift with ``DRIFT_S``.
+
+    Other digits have no mean.
+    """
     state = closing_hand(jamia, 0.0, round(MEAN_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
     assert state.view("usual")[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)
     assert state.view("drift")[0] == pytest.approx(-0.3 * math.exp(-MEAN_S / DRIFT_S), rel=1e-6)

@@ -1,4 +1,4 @@
-"""The default task of a new hand: open, close, hold and release, for any digits."""
+"""Test the default task of a new hand. It opens, closes, holds and releases the hand, with any digits."""
 
 from pathlib import Path
 
@@ -76,7 +76,7 @@ def test_a_digit_that_carries_others_keeps_its_angle() -> None:
 
 
 def around_a_circle() -> Hand:
-    """Return jamia's fingers as three equal fingers around a circle, and no thumb."""
+    """Return a hand with the fingers of jamia as three equal fingers around a circle, without a thumb."""
     content = hand_content("jamia")
     for part in ("digit", "tendon", "motor"):
         content[part] = content[part][:3]

@@ -1,4 +1,8 @@
-"""The limit of a warm drive falls linearly. In a HOLD no tension grows and no goal moves."""
+"""Test limits of tension.
+
+That of a warm drive falls linearly with its temperature. While safety holds the hand (HOLD), no
+tension grows and no goal moves.
+"""
 
 import math
 
@@ -20,7 +24,10 @@ from tests.controller.synthetic import active_state, estimate_under_tension
 
 
 def limit_at(model: HandModel, temperatures: tuple[float, ...]) -> np.ndarray:
-    """Return the tension limits (N,) of drives at given temperatures [degC], in N, infinite if no drive is warm."""
+    """Return the tension limits (N,) [N] of drives at given temperatures [degC].
+
+    They are infinite if no drive is warm.
+    """
     state = active_state(model)
     state.view("temperature")[...] = temperatures
     return limit_of(model, state)
@@ -78,12 +85,15 @@ def warm_grasp():
     """Return a hand with MIT drives that holds a cylinder."""
     with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as begun:
         advance_to(begun, GRASP)
-        begun.until(lambda out: False, 0.6)  # until the tensions are at rest
+        begun.until(lambda out: False, 0.6)  # the tensions settle
         yield begun
 
 
 def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
-    """At 84 degC, between 70 and 85, one fifteenth of the range is left: 14 N instead of 24 N."""
+    """The limit falls from 70 to 85 degC.
+
+    At 84 degC one fifteenth of its range is left, which gives 14 N instead of 24 N.
+    """
     before = warm_grasp.peer.truth()["tension"]
     warm_grasp.peer.inject("hot node=index_motor size=84 for=800ms")
     events = []
@@ -98,7 +108,10 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
 
 
 def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
-    """The limit is the tension at the start of the HOLD, and it ends with the HOLD."""
+    """While safety holds the hand, each tension is limited to its value at the start of the HOLD.
+
+    The limit ends with it.
+    """
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.peer.truth()["tension"])
 
@@ -121,7 +134,10 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
-    """More than 20 lost replies of 100 hold the hand until replies arrive again. The control law reports the hold."""
+    """Safety holds the hand if more than 20 of 100 replies are lost, until replies arrive again.
+
+    The control law reports it.
+    """
     warm_grasp.peer.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
     before, seen = warm_grasp.peer.truth()["tension"], []
     for _ in range(300):

@@ -1,4 +1,4 @@
-"""The tension filter in motion: prediction of missing measurements, and regimes."""
+"""Test the tension filter in motion: its prediction when measurements are missing, and the regimes of tendons."""
 
 import numpy as np
 
@@ -74,7 +74,10 @@ def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Readi
 
 
 def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandModel) -> None:
-    """The sensor node replies at once. A drive replies after its registers were read."""
+    """At the start, load cells may reply before encoders.
+
+    A drive reports its position only after its registers were read.
+    """
     n = model.tendon_count
     cell, state = np.full(n, 5.0), FilterState.initial(n)
     for _ in range(20):
@@ -93,7 +96,10 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
 
 
 def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
-    """Return the regimes while the load cells read a sequence of tensions and the motor is at rest."""
+    """Return the regimes of each tick while all load cells read the tensions ``cells`` one by one.
+
+    The motors are at rest.
+    """
     n = model.tendon_count
     x = np.zeros((n, STATES))
     state = all_in_regime(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
@@ -155,7 +161,10 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
 
 
 def test_a_stretch_offset_is_kept(model: HandModel) -> None:
-    """A hand that was not commissioned has millimetres of offset, which must not change the excursion."""
+    """A hand that was not commissioned has a stretch offset of millimetres.
+
+    This offset must not change the excursion.
+    """
     n = model.tendon_count
     x, cell = np.zeros((n, STATES)), np.full(n, 4.0)
     x[:, X] = 2e-3
@@ -193,7 +202,7 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
 
 
 def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
-    """The tension of a held digit that its springs do not explain is contact."""
+    """The part of a held digit's tension that its springs do not explain is external tension."""
     x, _ = state_at_rest(model, 20.0, 0.7)
     n = model.tendon_count
     asked = load_statics(model, x, np.zeros(n)).resistance
@@ -219,7 +228,10 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
 
 
 def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) -> None:
-    """Spool and load cell measure only the sum of excursion and offset. Joint encoders separate them."""
+    """Motor encoder and load cell measure only the sum of excursion and stretch offset.
+
+    Joint encoders separate the two.
+    """
     x, _ = state_at_rest(jamia11, 20.0, 0.7)
     balance = load_statics(jamia11, x, np.zeros(len(x))).resistance
     x[:, X] = x[:, S] + balance / jamia11.space.stiffness
@@ -239,7 +251,7 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
 
 
 def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
-    """Return excursions (N,) from readings of joint encoders (J,) [rad], NaN where missing."""
+    """Return tendon excursions (N,) from joint encoder readings (J,) [rad], NaN where a reading is missing."""
     state = active_state(model)
     state.mode = Mode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joints)
@@ -273,7 +285,10 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 
 
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
-    """Friction holds the digit there. If it counted as stopped, each return would increase the error of its angle."""
+    """Friction holds a digit just above its open stop.
+
+    If it counted as stopped, each return would add an error to its angle.
+    """
     x = np.zeros((model.tendon_count, STATES))
     x[:, S] = 1e-5
     cell = 0.9 * load_statics(model, x, np.zeros(len(x))).resistance
@@ -289,7 +304,7 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
 
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
-    """The excursion that the filter estimated was the offset of the tendon."""
+    """When a digit stops there, the excursion that the filter had estimated becomes stretch offset of the tendon."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3
     cell = np.full(len(x), 4.0)

@@ -1,4 +1,7 @@
-"""The tension filter with its own model: its covariance is right, also with missing measurements."""
+"""Test the tension filter on data from its own model.
+
+Its covariance is right, also while measurements are missing.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -35,7 +38,7 @@ from tests.controller.synthetic import Readings, active_state, constants, empty_
 
 
 def plain_hand(name: str, rate_hz: float) -> HandModel:
-    """Return a hand whose filter model is exact, without friction and weight."""
+    """Return a hand without friction and weight, for which the filter's model is exact."""
     content = hand_content(name)
     content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
     for tendon in content["tendon"]:
@@ -63,7 +66,7 @@ Missing = Callable[[int, np.random.Generator], np.ndarray]
 
 
 class Course(NamedTuple):
-    """Errors and covariances of a filter run after it settled, (ticks, N) each."""
+    """Errors and deviations of a filter run after the filter has settled. Each array has the shape (ticks, N)."""
 
     error: np.ndarray
     sigma: np.ndarray
@@ -75,7 +78,8 @@ class Course(NamedTuple):
 def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing: Missing | None = None) -> Course:
     """Draw a true trajectory from the filter's own model in one regime, and run the filter on it.
 
-    ``missing`` says of a tick which encoders (first row) and load cells (second row) are not read in it, (2, N).
+    ``missing`` returns for a tick the encoders (first row) and load cells (second row) that are not
+    read in it, (2, N).
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
     parts = [over_one_period(model, i, regime) for i in range(n)]
@@ -92,7 +96,8 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing
     regimes = set()
     tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter.blocks])
     for k in range(ticks):
-        # the motor holds the tendon like a controller, and a plan prevents a drift of the tension
+        # The motor holds the tendon as a controller would. The planned rate keeps the tension from
+        # drifting.
         tension = (tension_rows * truth).sum(axis=1)
         away = truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
         force = (tension if free else 40.0) - model.space.motor_mass * (40.0 * truth[:, V] + 400.0 * free * away)
@@ -141,7 +146,7 @@ SPARSE: dict[str, Missing] = {
 def test_consistent_with_its_own_model_though_measurements_are_missing(
     plain: HandModel, regime: Regime, what: str
 ) -> None:
-    """The error has the size that the covariance states, within the uncertainty of the sample."""
+    """The filter's error has the size that its covariance predicts, within the uncertainty of the sample."""
     missing = SPARSE[what]
     course = monte_carlo(
         plain, regime, 2500, 5, lambda k, rng: np.broadcast_to(missing(k, rng), (2, plain.tendon_count))
@@ -179,7 +184,7 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
 def test_missing_measurement_is_detected_in_each_regime(
     model: HandModel, column: int | None, regime: Regime, counts: bool
 ) -> None:
-    """Joint encoders count when they are read. The load cell of a slack tendon gives no information."""
+    """A missing joint encoder or a missing load cell of a slack tendon is not counted as missing."""
     z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
     if column is not None:
         z[-1, column] = np.nan
@@ -190,7 +195,7 @@ def test_missing_measurement_is_detected_in_each_regime(
 
 
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
-    """In a tick without encoders, the first digit gets into contact and the last one does not."""
+    """In a tick without encoder readings, the first digit gets into contact. The last digit does not."""
     x, force = state_at_rest(model, 25.0, 0.6)
     state, touched = all_in_regime(model, Regime.FREE, x), (True, *no_contact(model)[1:])
     unread, none = empty_readings(model)._replace(tension=force), np.zeros(model.tendon_count)
@@ -230,7 +235,10 @@ MISSING_SAMPLES: dict[str, Missing] = {
 @pytest.mark.parametrize("regime", Regime)
 @pytest.mark.parametrize("what", MISSING_SAMPLES)
 def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regime: Regime, what: str) -> None:
-    """Compute each tendon with numpy for as long as its covariance is updated. A slack tendon has only its encoder."""
+    """The filter agrees with numpy for as long as it updates the covariances.
+
+    A slack tendon has only its encoder.
+    """
     rng, n = np.random.default_rng(9), model.tendon_count
     slack = regime == Regime.SLACK
     x, force = state_at_rest(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
@@ -260,7 +268,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regim
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
 def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, predicted_s: float | None) -> None:
-    """The covariance grows while the motors are known to hold the last command."""
+    """The covariance grows over the skipped ticks, but at most over the time for which motors hold the last command."""
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
     state = all_in_regime(model, Regime.FREE, x)
@@ -281,7 +289,7 @@ def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, pred
 
 
 def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
-    """Compute each tendon in plain loops. A missing measurement has no row in the update."""
+    """A second filter computes each tendon in plain loops. A missing measurement has no row in its update."""
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)
     state, second = all_in_regime(model, Regime.FREE, x), x.copy()

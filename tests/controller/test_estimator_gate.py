@@ -1,4 +1,4 @@
-"""The tension filter with outliers, missing samples and a drifting load cell, and its state of doubt."""
+"""Test the tension filter with outliers, missing samples and a drifting load cell, and while it doubts its model."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ TENSION = 20.0
 
 
 class Held:
-    """A hand whose tendons have a constant tension, sample by sample."""
+    """A hand whose tendons have a constant tension. Its filter gets one sample per call."""
 
     def __init__(self, model: HandModel, regime: Regime = Regime.HELD) -> None:
         self.model, n = model, model.tendon_count
@@ -26,7 +26,7 @@ class Held:
         self.state = FilterState.of(x.ravel(), regime, stopped=False)
 
     def sample(self, cell: float, *, saturated: tuple[int, ...] = (), travel: float = 0.0) -> Estimate:
-        """Run one tick in which tendon 0 reads ``cell`` [N]."""
+        """Run one tick in which the load cell of tendon 0 reads ``cell`` [N]."""
         model, n = self.model, self.model.tendon_count
         read = empty_readings(model)._replace(
             travel=self.travel + travel, tension=np.full(n, TENSION)
@@ -38,7 +38,7 @@ class Held:
         return estimate
 
     def settled(self) -> "Held":
-        """Return the hand after several good samples."""
+        """Return the hand after 200 samples without errors."""
         for _ in range(200):
             self.sample(TENSION)
         return self
@@ -55,7 +55,7 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
 
 @pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
 def test_two_outliers_in_a_row_are_accepted(model: HandModel, jump: float) -> None:
-    """An impact is no outlier, so the filter follows the second sample at once."""
+    """Two equal outliers are an impact and no error, so the filter follows the second sample at once."""
     hand = Held(model).settled()
     hand.sample(TENSION + jump)
     estimate = hand.sample(TENSION + jump)
@@ -80,7 +80,10 @@ def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
 
 
 def slack_state(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
-    """Return slack tendons, with a load cell of tendon 0 that reads its error."""
+    """Return the estimate of slack tendons.
+
+    The load cell of tendon 0 reads ``error`` [N] where there is no tension.
+    """
     model = hand.model
     x = np.zeros((model.tendon_count, STATES))
     hand.travel = np.full(model.tendon_count, -loose)
@@ -138,7 +141,10 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(0, 0.0), (1, None), (4, None), (10_000, 0.05)])
 def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, predicted_s: float | None) -> None:
-    """The motor force is constant for 50 ms and then unknown. The planned tension change is for one period."""
+    """The filter predicts with a constant motor force for up to 50 ms.
+
+    The planned change of tension acts for one period.
+    """
     state, force = winding_state(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
     after, estimate = tick(model, state, empty_readings(model), force, rate, nowhere, missed=missed)
@@ -153,7 +159,7 @@ def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, pre
 
 
 def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
-    """Return digits held half closed under 20 N with winding rotors, and the forces that balance the tension [N]."""
+    """Return half closed digits held at 20 N while their rotors wind, and the forces that balance the tension [N]."""
     x = np.zeros((model.tendon_count, STATES))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
     x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
@@ -162,7 +168,10 @@ def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
 
 @pytest.mark.parametrize("every", [5, 11, 30])
 def test_occasional_positions_do_not_make_the_filter_oscillate(jamia: HandModel, every: int) -> None:
-    """The gains assume a measurement in every tick. A drive after a reset sent its position in every eleventh."""
+    """The filter's gains assume a position in every tick.
+
+    After a reset, a drive sent its position only in every 11th tick.
+    """
     held = Held(jamia).settled()
     chance = np.random.default_rng(7)
     for k in range(100 * every):

@@ -1,4 +1,4 @@
-"""Small functions of the filter at their limits and with both signs."""
+"""Test small functions of the tension filter at their limits and with both signs of their arguments."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,10 @@ def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> N
 
 
 def filter_state(model: HandModel, regime: Regime, **columns: float) -> FilterState:
-    """Return every tendon in one regime, off its stop, with columns of the state by name."""
+    """Return a filter state with every tendon in the same regime and off its stop.
+
+    Columns of the states are set by name.
+    """
     x = np.zeros((model.tendon_count, STATES))
     for name, value in columns.items():
         x[:, {"X": X, "S": S, "W": W, "O": O}[name]] = value
@@ -71,7 +74,7 @@ def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel)
 
 
 def used_measurements(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray:
-    """Return the measurements (N, 3) that the filter uses, NaN where none."""
+    """Return the measurements (N, 3) that the filter uses in a state, NaN where it uses none."""
     run = state_of(model, state)
     read(run, measured)
     return interpreted(_usable_measurements)(interpreted(state_tables)(run.block, run.layout.places))
@@ -81,7 +84,7 @@ def used_measurements(model: HandModel, state: FilterState, measured: Readings) 
 def test_slack_length_is_digit_excursion_minus_spool_travel(
     model: HandModel, x: float, s: float, o: float
 ) -> None:
-    """The spool lags behind the digit by the slack. A slack load cell reads only its error."""
+    """The spool lags behind the digit by the slack. The load cell of a slack tendon reads only its own error."""
     n = model.tendon_count
     measured = empty_readings(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
     for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
@@ -96,7 +99,7 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
 
 
 def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> FilterState:
-    """Return the regimes after a sample of all load cells, for free digits."""
+    """Return the filter state after all load cells read ``cell`` [N]. The digits are free."""
     return filter_state_of(
         corrected_state(
             model, state, empty_readings(model)._replace(tension=np.full(model.tendon_count, cell))
@@ -110,7 +113,10 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> F
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, hangs_m: float, known: bool, turns: bool
 ) -> None:
-    """Its length must be known from an earlier take-up. The count then starts again."""
+    """The encoder tells this only if the length of the tendon is known from an earlier take-up.
+
+    The count then starts again.
+    """
     n = model.tendon_count
     above = next(above for above, worth in EVIDENCE if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth)
     state = filter_state(model, Regime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(

@@ -25,7 +25,7 @@ from tests.controller.synthetic import active_state, constants, interpreted
 HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION = (0.5, 1.0, 1.5, 2.0)
 LATER_S = 1.2
-"""Slack is taken up and friction noticed by then."""
+"""Time at which slack is taken up and the filter has noticed the wrong friction [s]."""
 TAUT_N = 0.5
 MOVES = {
     "schema": 1,
@@ -39,13 +39,13 @@ seeds = pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.
 
 
 def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
-    """Run a hand that closes and opens, with a multiple of the friction of the hand file."""
+    """Run a simulated hand that closes and opens. Its friction is ``friction`` times that of the hand file."""
     program = TaskProgram(validate_content(MOVES, Task, "moves"))
     return run_on_plant(hand, program, None, folder, 3.0, seed, friction=friction)
 
 
 def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
-    """Return the RMSE of the present estimate and of the raw load cell [N], for taut tendons while the hand moves."""
+    """Return the tension RMSE [N] of the estimate and of the raw load cell, over taut tendons while the hand moves."""
     real, later = np.array(run.real), np.array(run.t) > LATER_S
     raw = np.array(run.cell)
     kept = later[:, None] & (real > TAUT_N) & np.isfinite(raw)
@@ -60,14 +60,17 @@ def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
 def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
     hand: str, friction: float, seed: int, tmp_path: Path
 ) -> None:
-    """Move freely with reversals, on plants with the friction of the file (1.0) and others."""
+    """The hand moves freely to and fro. The simulated friction is that of the hand file (factor 1.0) or another."""
     estimate, cell = estimate_and_raw_rmse(run_with_friction(hand, friction, seed, tmp_path))
     assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
 
 
 @pytest.mark.parametrize("hand", HANDS)
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
-    """A filter in doubt explains its innovations better. The averages for warning and doubt use the original model."""
+    """A filter in doubt explains its innovations better.
+
+    Warning and doubt are therefore decided with the original model.
+    """
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)
     read = noiseless_readings(model, x, np.full(model.tendon_count, 21.0))
@@ -91,7 +94,7 @@ def _judge(block: Block, at: Places, of: Block, of_at: Places, innovation: np.nd
 def averages_and_doubts(
     model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return averages of the normalised innovation squared and times of doubt [s] after one tick, (N,) each."""
+    """Return the averages (N,) of the normalised innovation squared and the times of doubt (N,) [s] after one tick."""
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
@@ -108,7 +111,10 @@ def test_a_slow_loop_does_not_adapt() -> None:
 
 
 def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
-    """A large innovation makes its tendon doubtful, small ones of all make all doubtful, one sample none."""
+    """A large innovation of one tendon raises doubt of this tendon.
+
+    Smaller innovations of all tendons raise doubt of all. A single sample raises none.
+    """
     period, usual, none = jamia11.period, np.full(11, 2.0), np.zeros(11)
     for odd, all_of_them in (
         (np.array([2 * NOISE_NIS_LIMIT, *[1.5] * 10]), False),
@@ -124,7 +130,10 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
 
 
 def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> None:
-    """The time of doubt decreases in each tick. NaN does not change the average."""
+    """The remaining time of doubt decreases in each tick.
+
+    A missing sample (NaN) does not change the average of innovations.
+    """
     n = jamia11.tendon_count
     lately, wary = averages_and_doubts(
         jamia11, np.full(n, 2.0), np.full(n, 3 * jamia11.period), np.full(n, np.nan)
@@ -144,7 +153,7 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
 
 @pytest.mark.parametrize("hand", HANDS)
 def test_the_filter_in_doubt_is_stable(hand: str) -> None:
-    """For every taut tendon, the error of each estimated state decays."""
+    """For every taut tendon, the errors of all estimated states decay while the filter is in doubt."""
     for blocks in model_of(hand).filter.blocks:
         for regime in (Regime.FREE, Regime.HELD):
             block = blocks[regime + len(Regime)]

@@ -1,4 +1,4 @@
-"""The discrete filter model compared with the differential equations, and its gains with a second Riccati solver."""
+"""Compare the discrete filter model with a tendon's differential equations, and its gains with a second solver."""
 
 import itertools
 import weakref
@@ -23,7 +23,7 @@ from tests.controller.synthetic import constant_tables_of
 
 
 class DesignParts:
-    """Filter designs of the packaged hands at other rates."""
+    """Filter designs of the packaged hands at any control rate."""
 
     def __init__(self, models: dict[str, HandModel]) -> None:
         self.models = models
@@ -39,7 +39,7 @@ def model_parts(jamia: HandModel, jamia11: HandModel) -> DesignParts:
 
 
 def one_of_each(model: HandModel) -> list[int]:
-    """Return the first tendon of the first finger, and the last tendon, which is that of the thumb."""
+    """Return the indices of the first finger's first tendon and of the thumb's last tendon."""
     return [0, model.tendon_count - 1]
 
 
@@ -116,7 +116,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(model: HandModel, r
 
 
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
-    """Include derived single numbers: the deviations of tension and of the load cell's innovation."""
+    """The kernels get all parts of the filter design, and the variances that are derived from them."""
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.KINDS, h.ELEMENTS)
     parts = {"F": h.F_AT, "B": h.B_AT, "K": h.K_AT, "Q": h.Q_AT, "R": h.R_AT, "P": h.P_AT, "H": h.H_AT}
@@ -159,7 +159,10 @@ def rng() -> np.random.Generator:
 
 
 def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
-    """The thumb's last tendon has a lower load than that of a finger."""
+    """Tendons of equal fingers share one design.
+
+    The tendons of the thumb have others, because their loads differ.
+    """
     blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]
     assert len({id(each) for each in blocks.values()}) == 5

@@ -1,4 +1,7 @@
-"""Trajectory files: a curve through points from rest to rest. Wrong files are refused before a motion."""
+"""Test trajectory files.
+
+The curve goes through all points, from rest to rest. A wrong file is refused before any motion.
+"""
 
 import math
 from pathlib import Path
@@ -88,7 +91,10 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("gap", [5e-324, 1e-310, 1e-160, 1e-5])
 def test_very_close_times_do_not_bypass_the_speed_limit(gap, recwarn):
-    """The coefficients of the spline overflow, and a NaN speed does not pass the limit."""
+    """Very close times make the coefficients of the spline overflow.
+
+    A speed that is NaN does not pass the limit either.
+    """
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):
         Follow(kind="follow", time_s=(0.0, gap, 1.0), angle_deg=angles)

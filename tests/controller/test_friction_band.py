@@ -1,4 +1,4 @@
-"""Effect of friction on a tension when a digit reverses: the friction band alone, and the estimate on the plant."""
+"""Test how friction changes a tension when a digit reverses, in the friction band alone and in the simulator."""
 
 from pathlib import Path
 
@@ -20,7 +20,10 @@ TURN_S = 0.05
 
 
 def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
-    """Return the expected tensions (ticks, N) at winding speeds, at 12 N commanded with 20 % friction loss."""
+    """Return the tensions (ticks, N) expected at given winding speeds.
+
+    The command is 12 N, and friction takes 20 %.
+    """
     n = model.tendon_count
     now, found, crept = [begin] * n, [], MIN_SLIDING_SPEED * model.period
     for speed in speeds:
@@ -39,7 +42,7 @@ def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> N
 
 
 def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> None:
-    """From 15 to 9.6 N at 100 N/mm and 5 mm/s takes 11 ms, and slightly less with creep."""
+    """The fall from 15 to 9.6 N at 100 N/mm and 5 mm/s takes 11 ms, and slightly less because the tendon creeps."""
     turned = follow(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
     way = 5.4 / model.space.stiffness[0] / 5e-3

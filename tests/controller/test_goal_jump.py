@@ -1,4 +1,4 @@
-"""A target that jumps: a motor at rest that has not moved yet is not stuck."""
+"""Test targets that jump. A motor that rests because it has not yet reacted is not stuck."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,10 @@ def arms_of(model: HandModel) -> np.ndarray:
 
 
 def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int) -> State:
-    """Return a hand whose motors have had equal readings for some ticks, with targets [m]."""
+    """Return the state of a hand with the targets ``goal`` [m].
+
+    Its motors have had equal readings for some ticks.
+    """
     state = active_state(model)
     state.view("followed")[...] = goal
     state.view("motor_stuck")[...] = ticks
@@ -25,7 +28,10 @@ def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int)
 def targets_after_command(
     model: HandModel, before: State, angle: float, at_goal: float | Vector = np.nan
 ) -> State:
-    """Return the targets after a command of one angle for every joint [rad], with digits at measured positions [m]."""
+    """Return the state after a command of one angle for all joints [rad].
+
+    The tendons are at the excursions ``at_goal`` [m].
+    """
     state = before.copy()
     state.view("q_goal")[...] = angle
     state.view("excursion")[...] = at_goal
@@ -38,7 +44,7 @@ def goal(state: State) -> np.ndarray:
 
 
 def target_motion(state: State) -> np.ndarray:
-    """Return the motion of the targets [m] since the motor readings became constant."""
+    """Return how far the targets have moved [m] since the readings of the motors became constant."""
     return np.abs(goal(state) - state.view("motor_anchor")[0])
 
 
@@ -64,7 +70,10 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
 
 
 def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(jamia: HandModel) -> None:
-    """Friction stops the motor short of its target. Only the motion of the target since then counts."""
+    """Friction stops a motor short of its target.
+
+    Only the motion of the target since that stop shows a stuck motor.
+    """
     arms = arms_of(jamia)
     then = targets_after_command(
         jamia, hand_with_equal_readings(jamia, arms * 0.1, 0), 0.4, arms * 0.3
@@ -77,7 +86,7 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(ja
 
 
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
-    """After a quick motion, the slower filtered target must not go on while the motor is rightly at rest."""
+    """After a quick motion, the slower filtered target must not move on while the motor already rests at its goal."""
     arms = arms_of(jamia)
     at_goal, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)
     lagging.view("motor_anchor")[...] = 1e-3

@@ -1,4 +1,4 @@
-"""The grasp program: order of its phases, contact, and its commands to the control law."""
+"""Test the grasp program: the order of its phases, its reaction to contacts, and its commands to the control law."""
 
 import json
 import math
@@ -46,8 +46,8 @@ class ProgramRun:
     """A program that runs tick by tick on synthetic estimates.
 
     Attributes:
-        progress: of the program.
-        events: all so far.
+        progress: of the program after the last tick.
+        events: all events of the program so far.
         t: time of the last tick [s].
     """
 
@@ -68,12 +68,12 @@ class ProgramRun:
         return events
 
     def touch(self, estimate: Estimate) -> None:
-        """Run ticks until a contact is detected."""
+        """Run so many ticks with an estimate that contact detection has time to find its contact."""
         for _ in range(round(5 * SMOOTH_S / self.model.period) + self.model.gains.contact.ticks):
             self.tick(estimate)
 
     def until(self, phase: str, estimate: Estimate, timeout: float = 20.0) -> float:
-        """Run ticks until a phase begins. Return the duration [s]."""
+        """Run ticks until a phase begins, and return the time until then [s]."""
         began = self.t
         while self.progress.phase != phase:
             assert self.t - began < timeout, f"{phase} does not begin: {self.progress}"
@@ -93,7 +93,10 @@ def taut(model: HandModel) -> Estimate:
 def hand_in_contact(
     model: HandModel, external: dict[str, float], tension: float = 15.0
 ) -> Estimate:
-    """Return a taut hand with contact at some digits."""
+    """Return the estimate of a taut hand.
+
+    ``external`` gives the unexplained tension of the digits that touch [N].
+    """
     estimate = estimate_under_tension(model, tension, 0.5)
     force = np.zeros(model.tendon_count)
     for name, value in external.items():
@@ -137,7 +140,7 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
 
 
 def test_tightening_must_last(model: HandModel, taut: Estimate) -> None:
-    """Ticks with slack count against the tendon, but only for a limited time."""
+    """Slack in a tick delays the end of tightening, but not by more than a limited time."""
     run = ProgramRun(model)
     run.until("tighten", taut)
     for seconds, estimate in ((0.2, taut), (0.1, slack(model)), (0.1, taut), (0.5, slack(model))):
@@ -192,7 +195,7 @@ def closing(model: HandModel, taut: Estimate) -> ProgramRun:
 
 
 def felt(model: HandModel, estimate: Estimate) -> np.ndarray:
-    """Return the forces at the tips of closing digits (D,) [N], before the filter."""
+    """Return the forces at the tips of all digits (D,) [N] while they close, before these forces are filtered."""
     state = active_state(model)
     state.view("closing")[...] = 1
     detect_contacts(model, state, estimate)
@@ -200,7 +203,7 @@ def felt(model: HandModel, estimate: Estimate) -> np.ndarray:
 
 
 def tension_for_tip_force(model: HandModel, newtons: float) -> float:
-    """Return the unexplained tension of each index tendon for a force at its tip [N]."""
+    """Return the unexplained tension of each index tendon [N] that shows a force at the index tip [N]."""
     found = felt(
         model,
         estimate_under_tension(model, 15.0, 0.5)._replace(external=np.ones(model.tendon_count)),
@@ -234,7 +237,7 @@ def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estima
 
 
 def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
-    """Tensions that balance a force at the tip give an estimate of this force, at any pose."""
+    """Contact detection finds the force at a tip from the tensions that balance it, at any pose of the digit."""
     q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
     for d, digit in enumerate(model.digits):
         own = np.linspace(0.2, 0.6, digit.joint_count)
@@ -302,7 +305,7 @@ def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate)
 def run_release(
     model: HandModel, taut: Estimate, tension: float, **release: float
 ) -> tuple[ProgramRun, float]:
-    """Return a run after its release with a constant tension of the index [N], and the duration of the release [s]."""
+    """Return a run after its release phase, and the duration of this phase [s]. All tendons keep ``tension`` [N]."""
     task = {**TASK, "phase": [{**p, **release} if p["kind"] == "release" else p for p in TASK["phase"]]}
     run, touch = ProgramRun(model, task), hand_in_contact(model, {"index": 12.0})
     run.until("close", taut)
@@ -312,10 +315,10 @@ def run_release(
 
 
 @pytest.mark.parametrize(("tension", "settle", "took", "is_reported"), [
-    (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # up to the timeout
+    (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # the release ends at its timeout
     (8.0 + RELEASED_WITHIN_N, 0.1, RELEASE_TIMEOUT_S, True),
     (7.9 + RELEASED_WITHIN_N, 0.1, 0.1, False),
-    (9.0, 12.0, 12.0, False),                  # the settling time counts, even if longer
+    (9.0, 12.0, 12.0, False),                  # a longer settling time replaces the timeout
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip
 def test_a_release_that_does_not_let_go_is_reported(model, taut, tension, settle, took, is_reported) -> None:
@@ -344,7 +347,7 @@ def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Esti
 
 
 def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut: Estimate) -> None:
-    """Only a release or a move ends the hold."""
+    """A digit in contact keeps its hold during a second close phase. Only a release or a move ends a hold."""
     close, hold = TASK["phase"][2:4]
     run = ProgramRun(model, {**TASK, "phase": [close, hold, {**close, "name": "again"}]})
     run.until("close", taut)

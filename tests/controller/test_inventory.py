@@ -1,4 +1,7 @@
-"""Start of a run: the controller waits for every drive, every load cell, and a first reading of each."""
+"""Test the start of a run.
+
+The controller waits until every drive and every load cell has replied with a first reading.
+"""
 
 import math
 
@@ -16,7 +19,7 @@ from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
 
 READ, WRITTEN = 0x33, 0x55
-"""Third byte of a register's reply."""
+"""Third byte of a drive's reply to the reading and to the writing of a register."""
 
 
 @pytest.fixture
@@ -25,7 +28,7 @@ def hand(jamia: HandModel) -> Bench:
 
 
 def test_motors_that_reply_in_alternate_ticks_are_armed(hand: Bench) -> None:
-    """Some drives have a cycle. The filter starts when each drive has been read once."""
+    """Some drives reply only in every fourth tick. The filter starts when each drive has been read once."""
     motors = range(0x11, 0x15)
 
     def in_turn(frame: Frame) -> bool:
@@ -52,7 +55,7 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(jamia1
 
 
 def hand_in_inventory(hand: Bench, seconds: float) -> State:
-    """Return a ready hand without the parts that a test removes, some time after the inventory started."""
+    """Return the state of a complete hand some time after its inventory started. Tests then remove parts of it."""
     hand.until(Mode.READY)
     state = hand.state.copy()
     state.mode, state.mode_since = Mode.INVENTORY, -seconds
@@ -66,7 +69,10 @@ def decided(hand: Bench, state: State) -> tuple[Mode, str]:
 
 
 def test_a_ready_drive_that_never_reports_its_position_is_named(hand: Bench) -> None:
-    """The heartbeat of an ODrive makes it ready, although its encoder messages may be disabled."""
+    """A drive may be ready without a position.
+
+    The heartbeat of an ODrive comes even if its encoder messages are disabled.
+    """
     known = hand_in_inventory(hand, INVENTORY_TIMEOUT_S + 0.1)
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
     hand.controller.keep(unread, 1, blind)

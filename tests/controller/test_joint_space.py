@@ -1,4 +1,7 @@
-"""Tasks and trajectories by joint: other joints stay where they are, and coupled joints need one angle."""
+"""Test tasks and trajectories that name single joints.
+
+Other joints stay where they are, and coupled joints need the same angle.
+"""
 
 from typing import Any
 
@@ -28,7 +31,7 @@ def move(angles: dict[str, Any], seconds: float = 0.4) -> dict[str, Any]:
 
 
 def end_of(hand: str, program: Task, seconds: float) -> dict[str, float]:
-    """Return the true joint angles of a homed hand after a task [deg]."""
+    """Return the true joint angles [deg] of a simulated hand after a task."""
     check_task_for_hand(program, load_hand(hand), "t")
     with Simulator(hand, None, 0, homed=True).against(homed_controller(model_of(hand), TaskProgram(program))) as run:
         run.record = False

@@ -1,4 +1,7 @@
-"""Several replies in one tick after a pause of host or simulator do not count as a second node."""
+"""After a pause of the host or of the simulator, several replies of a node arrive in one tick.
+
+They are no sign of a second node.
+"""
 
 import pytest
 
@@ -13,7 +16,7 @@ from tests.controller.bench import Bench, bench
 
 
 def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
-    """The replies of one tick arrive two ticks later, together with the replies of the following ticks."""
+    """The host reads the replies of one tick two ticks later, together with replies of the following ticks."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(0.5)
@@ -37,7 +40,10 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
 
 
 def test_late_replies_without_time_stamps_are_no_second_node() -> None:
-    """A frame has the time of its reading. A simulator that paused replies to two ticks at once."""
+    """On this bus a frame gets the time at which it is read.
+
+    After a pause, the simulator replies to two ticks at once.
+    """
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
     waiting: list[Frame] = []
@@ -63,7 +69,7 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
 
 @pytest.mark.parametrize("before", range(4))
 def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(before: int) -> None:
-    """Replies of three ticks arrive at once, around the tick at which older requests expire."""
+    """The replies to three ticks arrive at once, near the tick in which the controller forgets older requests."""
     run = active_on_a_bus_without_stamps()
     waiting: list[Frame] = []
     while (run.k + before) % WINDOW:
@@ -76,7 +82,7 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(be
 
 
 def active_on_a_bus_without_stamps() -> Bench:
-    """Return an active hand whose frames get their time stamps when they are read."""
+    """Return a bench whose hand is active. Its frames get their time stamps only when the host reads them."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.to_host = lambda frames: stamped(run, frames)
@@ -93,7 +99,10 @@ def second_answers(out: TickOut) -> list[str]:
 
 
 def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
-    """A node that replies just after the deadline may send two replies in one tick when it becomes faster."""
+    """A node may reply just after each deadline.
+
+    When it becomes faster, two of its replies arrive in the same tick.
+    """
     run = active_on_a_bus_without_stamps()
     held: list[list[Frame]] = [[]]
 

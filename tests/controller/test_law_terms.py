@@ -1,4 +1,4 @@
-"""Each term of the control law: the effect of estimate and trajectory on the motor force."""
+"""Test each term of the control law: how a change of the estimate or of the trajectory changes the motor force."""
 
 from dataclasses import replace
 
@@ -25,11 +25,11 @@ from tests.controller.synthetic import (
 )
 
 EVALUATED_S = 0.25
-"""Time of the evaluation in a motion of one second [s]. The motion still accelerates."""
+"""Time in a motion of one second at which the control law is evaluated [s]. The motion still accelerates then."""
 
 
 def force(model: HandModel, estimate: Estimate, goals: tuple[DigitGoal, ...]) -> np.ndarray:
-    """Return the motor force at the tendon, (N,) [N]."""
+    """Return the motor force (N,) [N] that the control law commands for an estimate and goals."""
     state = LawState.idle(estimate.tension)
     return step(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
 
@@ -61,7 +61,7 @@ def test_motion_feedback_applies_each_gain(model: HandModel, way: tuple[DigitGoa
 def test_the_planned_acceleration_is_fed_forward(
     model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
 ) -> None:
-    """Without the feedforward of rotor inertia, the command decreases by inertia times acceleration."""
+    """Without the feedforward of rotor inertia, the commanded force decreases by inertia times planned acceleration."""
     without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
@@ -82,7 +82,7 @@ def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> N
 
 
 def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
-    """A tension loop then starts at the present tension, for any command before."""
+    """After an idle tick the tension loop starts at the present tension, whatever the control law commanded before."""
     state, tension = active_state(model), np.linspace(3.0, 4.0, model.tendon_count)
     for name in ("setpoint", "integral", "force", "planned", "rate", "trim", "torque", "friction_state"):
         state.view(name)[...] = 7.0
@@ -113,7 +113,7 @@ def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
 
 
 def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
-    """The control law opposes a deviation from the goal, and damps a motion."""
+    """While a digit holds, the control law opposes a deviation of the tension and damps a motion of the motor."""
     estimate, goals, design = (
         estimate_under_tension(model, 20.0),
         holding_goals(model, 20.0),

@@ -1,4 +1,4 @@
-"""Live targets and jogging: accepted requests, refused requests, and the end of a motion."""
+"""Test live targets and jogging: the requests that are accepted or refused, and the end of a motion."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ def goal_from(text: str) -> MoveDigits | HoldTension:
 
 
 def live(model: HandModel, estimate: Estimate) -> tuple[LiveProgram, Progress]:
-    """Return a live session that waits for requests."""
+    """Return a live program and its progress at the moment at which it waits for requests."""
     program = LiveProgram()
     progress, t = program.initial(model), 0.0
     while progress.phase != "live":

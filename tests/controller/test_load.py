@@ -1,4 +1,4 @@
-"""Position of digits on their trajectories, and the tensions of their motion, digit by digit."""
+"""Test the positions of digits on their trajectories, and the tensions that each digit needs for its motion."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def ways(model: HandModel, since: float, durations: tuple[float, ...]) -> tuple[
 def test_a_motion_depends_on_the_time_since_its_start_only(
     hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
-    """All digits may share one duration, or each has its own."""
+    """This holds if all digits have the same duration, and if their durations differ."""
     model: HandModel = request.getfixturevalue(hand)
     first, later = (ways(model, since, durations) for since in (0.0, 2.0))
     way = way_of(model, first, 0.1)
@@ -31,7 +31,7 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
 
 
 def load_by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
-    """Compute the same for each digit separately, without a shortcut."""
+    """Compute the tensions (N,) of a motion [N] for each digit separately, without the shortcuts of the control law."""
     found = np.zeros(model.tendon_count)
     q, dq, ddq = way.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -44,7 +44,10 @@ def load_by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_the_load_of_each_digit_is_limited_separately(hand: str, request: pytest.FixtureRequest) -> None:
-    """Include digits within the bounds, below and above. The limit of one digit does not change the others."""
+    """The tensions of some digits are within their bounds, of others at a bound.
+
+    A bound of one digit does not change the tensions of other digits.
+    """
     model: HandModel = request.getfixturevalue(hand)
     goals, rng = ways(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)
     joints = len(model.hand.joints)

@@ -1,4 +1,7 @@
-"""Skipped ticks: motions go on meanwhile. test_estimator_gate has the effect on the filter."""
+"""Test ticks that the controller skips.
+
+Motions continue meanwhile. test_estimator_gate tests the effect on the filter.
+"""
 
 import pytest
 
@@ -8,7 +11,7 @@ from handctl.programs.live import LiveProgram
 from tests.controller.bench import bench
 
 FAST_RAD_S = 28.0
-"""A rotor that pays out; the drive tells speeds up to 30 rad/s."""
+"""Speed of a rotor that pays out its tendon [rad/s]. The drive can report speeds up to 30 rad/s."""
 
 
 @pytest.mark.parametrize("skip", [0, 1, 4])

@@ -1,4 +1,7 @@
-"""Modes from start to motion and back to a confirmed stop, with a hand of scripted motors."""
+"""Test the modes of the controller, from the start to a motion and back to a confirmed stop.
+
+The motors of the hand are scripted.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +25,7 @@ ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 
 @pytest.fixture(scope="module")
 def quick() -> HandModel:
-    """Return a model at a low rate, which makes the tests fast. All times are in seconds."""
+    """Return a model at a low control rate. The low rate makes the tests fast, and all times are in seconds."""
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
@@ -36,7 +39,7 @@ def duration_in(run: Bench, mode: Mode) -> float:
 
 
 def ids_sent(run: Bench, data: bytes) -> list[int]:
-    """Return the identifiers of the frames with these bytes, in order."""
+    """Return the identifiers of all sent frames that consist of the bytes ``data``, in the order of sending."""
     return [frame.can_id for _, _, out in run.history for frame in out.frames if frame.data == data]
 
 
@@ -139,7 +142,7 @@ def test_a_second_stop_does_not_lengthen_the_first(hand: Bench) -> None:
 
 
 def foreign_command(hand: Bench) -> Frame:
-    """Return a frame that only a second controller can have sent: a torque command to the first motor."""
+    """Return a torque command to the first motor. Such a frame on the bus can only come from a second controller."""
     return Frame(hand.peer.motors[0].node_id, bytes(8), t_ns=hand.k * hand.period_ns)
 
 

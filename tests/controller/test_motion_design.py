@@ -1,4 +1,7 @@
-"""The LQR gains give stable loops, with the margins of an LQR, which sampling may reduce."""
+"""The LQR gains make both control loops stable.
+
+The loops have the margins of an LQR, but sampling may reduce them.
+"""
 
 import numpy as np
 import pytest
@@ -12,14 +15,20 @@ RATES = [200.0, 500.0, 1000.0]
 
 
 def motion_plant(mass: float, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the model of one mass moved by a force, with excursion [m] and its rate."""
+    """Return the discrete model of a mass that a force moves.
+
+    Its states are the excursion [m] and its rate [m/s].
+    """
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
     return F, G
 
 
 def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the model of a rotor on a tendon with a fixed end, with tension [N] and tendon speed."""
+    """Return the discrete model of a rotor on a tendon whose end is fixed.
+
+    Its states are tension [N] and speed [m/s].
+    """
     space = model.space
     m, k, c = space.motor_mass[i], space.stiffness[i], space.damping[i] + space.motor_damping[i]
     A, B = np.array([[0.0, k], [-1.0 / m, -c / m]]), np.array([[0.0], [1.0 / m]])
@@ -28,7 +37,7 @@ def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, 
 
 
 def loops(model: HandModel, gains: Gains, period: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return (F, G, K) of both loops of a finger's and the thumb's last tendon, with force = -K state."""
+    """Return (F, G, K) of both control loops of the first and of the last tendon, with force = -K state."""
     design, found = design_motion(model.space, gains, period), []
     for i in (0, model.tendon_count - 1):
         mass = model.space.motor_mass[i] + model.space.load_mass[i]
@@ -44,7 +53,10 @@ def radius(matrix: np.ndarray) -> float:
 
 @pytest.mark.parametrize("rate_hz", RATES)
 def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) -> None:
-    """Check 0.5 and 1.5 times the gain, and a phase margin of 30 degrees at each gain crossover."""
+    """The loops are stable with 0.5 and 1.5 times their gain.
+
+    The phase margin at each gain crossover is above 30 degrees.
+    """
     for F, G, K in loops(model, Gains(), 1.0 / rate_hz):
         for factor in (0.5, 1.0, 1.5):
             assert radius(F - factor * G @ K) < 1.0
@@ -60,14 +72,17 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0])
 def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
-    """At a sampling rate near the tendon's natural frequency, the LQR margins are lost, but the loops stay stable."""
+    """At a control rate near a tendon's natural frequency, the loops lose the LQR margins but stay stable."""
     for F, G, K in loops(model, Gains(), 1.0 / rate_hz):
         assert radius(F - G @ K) < 1.0
 
 
 @pytest.mark.parametrize("rate_hz", RATES)
 def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
-    """No gain close to the optimum has a lower cost from several initial states. The cost is a summed series."""
+    """No gains close to the designed gains have a lower cost, from any of several initial states.
+
+    The cost is summed over the ticks.
+    """
     gains, full = Gains(), min(1.0, (rate_hz / 500.0) ** 0.5)
     weights = [
         (gains.motion.position_error_m, gains.motion.speed_error_m_s, full * gains.motion.force_N),

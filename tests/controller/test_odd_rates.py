@@ -1,4 +1,7 @@
-"""Rates whose period is no multiple of the plant's step: samples without jitter, and consistent innovations."""
+"""Test control rates whose period is no multiple of the simulator's time step.
+
+Samples have no jitter, and the innovations of the filter are consistent.
+"""
 
 from functools import cache
 
@@ -32,13 +35,16 @@ WAY = {
 
 @cache
 def controller_at(hand: str, rate_hz: float) -> Controller:
-    """Return a controller that moves every digit to and fro."""
+    """Return a controller at ``rate_hz`` that moves every digit of a hand to and fro."""
     program = TaskProgram(validate_content(WAY, Task, "test"))
     return make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
 
 
 def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[Event]]:
-    """Return the NIS per degree of freedom of a free motion, a mean over tendons and ticks, and the estimates."""
+    """Return the mean NIS per degree of freedom in a free motion, and the events about estimates and faults.
+
+    NIS is the normalised innovation squared. The mean is over tendons and ticks.
+    """
     nis: list[np.ndarray] = []
     events: list[Event] = []
     with Simulator(hand, seed=seed, homed=True).against(controller_at(hand, rate_hz)) as run:
@@ -52,7 +58,7 @@ def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[Event
 
 @pytest.mark.parametrize(("hand", "rate_hz"), RUNS if NIGHTLY else SAMPLE)
 def test_innovations_have_their_predicted_variance_at_any_rate(hand: str, rate_hz: float) -> None:
-    """Regression: samples up to 0.5 ms early gave an NIS of 3 to 5 at 300, 450 and 640 Hz."""
+    """Regression: samples that were up to 0.5 ms early gave a mean NIS of 3 to 5 at 300, 450 and 640 Hz."""
     for seed in SEEDS:
         nis, events = innovations(hand, rate_hz, seed)
         assert 0.7 < nis < 1.3, (seed, nis)

@@ -1,4 +1,4 @@
-"""Moves of a task that are too fast for the rotor: a sudden stop at that speed tears a tendon."""
+"""Moves of a task that are too fast for a rotor are refused. A sudden stop at such a speed tears a tendon."""
 
 from typing import Any
 

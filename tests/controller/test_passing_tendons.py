@@ -1,4 +1,4 @@
-"""Control of hands whose tendons pass the wrist at a distance from its axis."""
+"""Test the control of hands on a wrist. The tendons of the digits pass the wrist at a distance from its axis."""
 
 from typing import NamedTuple
 
@@ -18,18 +18,21 @@ from tests.hand.wrist import on_wrist
 RATE_HZ = 400.0
 SEEDS = range(20) if NIGHTLY else range(1)
 LIMITS_DEG = {"jamia": 0.6, "n_plus_1": 0.6, "jamia11": 1.3}
-"""Limit of the tracking error of each hand [deg]. On a wrist whose axis the tendons meet it is 0.3, 0.15 and 1.0."""
+"""Limit of the tracking error of each hand [deg].
+
+If the tendons pass through the axis of the wrist, the errors are 0.3, 0.15 and 1.0 deg.
+"""
 HANDS = tuple(LIMITS_DEG) if NIGHTLY else ("jamia", "n_plus_1")
 ANGLES = ((30.0, 0.0), (45.0, 20.0), (45.0, -20.0), (20.0, 10.0), (50.0, 10.0))
-"""Angle of the joints of all digits, and of the wrist, at the end of each phase [deg]."""
+"""Angle of all digit joints and angle of the wrist at the end of each phase of the task [deg]."""
 
 
 class Errors(NamedTuple):
-    """What a simulated run shows.
+    """Errors of the controller in a simulated run.
 
     Attributes:
-        tracking_deg: RMSE of true against commanded angles along the digits' tendons [deg].
-        wrist_deg: the same of the wrist [deg].
+        tracking_deg: RMSE of true against commanded angles of the digits, as a mean angle along each tendon [deg].
+        wrist_deg: RMSE of the true against the commanded angle of the wrist [deg].
         external_N: mean unexplained tension of the wrist's tendon [N].
     """
 
@@ -39,7 +42,7 @@ class Errors(NamedTuple):
 
 
 def waving(hand: Hand) -> Task:
-    """Return a task that moves digits and wrist, first one after the other and then together."""
+    """Return a task that moves the digits and the wrist of a hand in several phases."""
     phases = []
     for i, (digits, wrist) in enumerate(ANGLES):
         angles = dict.fromkeys(hand.digit_names, digits) | {"wrist": wrist}
@@ -48,12 +51,12 @@ def waving(hand: Hand) -> Task:
 
 
 def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
-    """Simulate a hand whose controller knows a description of it, and return the errors of moving digits.
+    """Simulate ``hand`` with a controller that knows the description ``known``, and return the errors of the motion.
 
-    None if a fault ended the run.
+    The result is None if a fault ended the run.
     """
     model = HandModel.of(known, Gains(), RATE_HZ)
-    # Of a digit with one tendon only the mean over its joints is controlled.
+    # In a digit with one tendon, only the mean angle of the joints is controlled.
     along = hand.own_arms / np.abs(hand.own_arms).sum(axis=1, keepdims=True)
     apart = list[np.ndarray]()
     external = list[float]()
@@ -74,7 +77,7 @@ def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", HANDS)
 def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
-    """A controller that takes the tendons to pass in the axis follows several degrees behind."""
+    """The error is more than four times as large if the controller assumes that tendons pass through the axis."""
     hand = on_wrist(name)
     aware = errors_of(hand, hand, seed)
     assert aware is not None
@@ -85,7 +88,7 @@ def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
 
 
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
-    """Without their torque the tension of three bent fingers looks like an object that pushes the wrist."""
+    """If the controller neglects their torque, the tension of bent fingers looks like an object at the wrist."""
     hand = on_wrist("jamia")
     aware = errors_of(hand, hand, 0)
     blind = errors_of(on_wrist("jamia", 0.0), hand, 0)

@@ -1,4 +1,4 @@
-"""Drives that close the position loop of a moving digit by themselves: commands, tracking, tension and faults."""
+"""Test drives that close the position loop of a digit themselves: their commands, tracking, tensions and faults."""
 
 import json
 import os
@@ -29,18 +29,21 @@ NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20) if NIGHTLY else range(2)
 RATE_HZ = 500.0
 STIFF = 2.5
-"""Stiffness of the tendons of ``jamia`` at the spool, the largest that a hand file may ask for [N m/rad]."""
+"""Stiffness of a tendon of ``jamia`` at its spool [N m/rad].
+
+It is the largest position gain that the hand file may have.
+"""
 TRIP_N = 140.0
 
 
 def with_position_loop(hand: Hand, **changes: Any) -> Hand:
-    """Return a hand whose drives close the position loop."""
+    """Return the hand with drives that close the position loops."""
     motors = tuple(motor.model_copy(update={"control": "position", **changes}) for motor in hand.motor)
     return hand.model_copy(update={"motor": motors})
 
 
 def to_and_fro(hand: Hand, moves: int, duration_s: float) -> TaskProgram:
-    """Return a program that closes and opens all digits."""
+    """Return a program that closes and opens all digits of a hand in turn."""
     ends = [dict.fromkeys(hand.digit_names, angle) for angle in (45.0, 15.0)]
     phases = [{"kind": "move", "name": "ready", "angle_deg": ends[1], "duration_s": 0.6}] + [
         {"kind": "move", "name": f"move {i}", "angle_deg": ends[i % 2], "duration_s": duration_s} for i in range(moves)
@@ -50,7 +53,7 @@ def to_and_fro(hand: Hand, moves: int, duration_s: float) -> TaskProgram:
 
 @contextmanager
 def moving(hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, moves: int = 6) -> Iterator[Simulation]:
-    """Yield a run of a homed hand that moves to and fro, at the start of the first move."""
+    """Yield the run of a simulated hand that moves to and fro. The run is at the start of its first move."""
     controller = make_controller(
         hand, packaged_gains(hand.name), rate_hz, to_and_fro(hand, moves, 0.6), None, arm_at_once=True
     )
@@ -64,9 +67,10 @@ def stiffness_sent(run: Simulation) -> np.ndarray:
 
 
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
-    """Return root mean square errors of true excursions (N,) while a hand moves [deg], and the largest true tension.
+    """Return the RMS error along each tendon (N,) [deg] while a hand moves, and the largest true tension [N].
 
-    An error is that of the mean joint angle. The springs of ``jamia`` decide about single joints.
+    It is the error of the mean joint angle. The springs of ``jamia`` decide about its single
+    joints.
     """
     errors, peak = list[np.ndarray](), 0.0
     with moving(hand, seed, moves=2) as run:
@@ -95,7 +99,8 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
                 p, v = (run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed"))
                 ahead = p + run.controller.zero[n] + 0.5 * model.period * v
                 torque = given.kp * (given.position - ahead) + given.kd * (given.velocity - v) + given.torque
-                # One count of position at this stiffness, one of velocity and one of torque.
+                # The tolerance is the torque of one count of position at this stiffness, one of
+                # velocity and one of torque.
                 assert torque == pytest.approx(run.state.view("torque")[n], abs=2.0e-3)
                 sent += given.kp > 0.0
                 assert given.kp == pytest.approx(run.state.view("servo_kp")[n], abs=1e-9)
@@ -150,7 +155,7 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, seed: int) -> None:
                 blocked = True
                 assert stiffness_sent(run)[0] == 0.0
         assert blocked
-        # 30 N more than the motion needs, see touch.MAX_PRESS_N.
+        # A blocked digit presses with up to 30 N more than its motion needs, see touch.MAX_PRESS_N.
         assert peak < 60.0, f"{peak} N"
 
 
@@ -167,7 +172,7 @@ def test_relaxing_from_a_position_loop_raises_no_command(fault: str, seed: int) 
 
 
 def lose_gains(run: Simulation, name: str) -> None:
-    """Let a drive make the torque of its commands alone, as if it did not know kp and kd."""
+    """Let a drive make only the torque of its commands, as if it ignored the gains kp and kd in them."""
     motor: Any = run.peer.world.plant.motors[name]  # type: ignore[attr-defined]
     motor.power_stage_fault = lambda _: float(np.clip(motor.servo.torque, -motor.servo.limit, motor.servo.limit))
 
@@ -208,7 +213,7 @@ def test_a_drive_that_ignores_kp_is_found(seed: int) -> None:
 
 
 def test_a_healthy_drive_reports_what_is_predicted() -> None:
-    """Compare each report with the prediction, which the detectors of disobedience use."""
+    """The reported force of a drive agrees with the prediction. Detectors of disobedience compare these two."""
     with moving(with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF)) as run:
         apart = []
         for _ in range(600):

@@ -1,4 +1,4 @@
-"""Joint angles and their standard deviation, compared with the plant in grasps and with linear algebra."""
+"""Compare estimated joint angles and their deviations with the simulator in grasps, and with linear algebra."""
 
 import os
 from collections.abc import Iterator
@@ -40,7 +40,11 @@ HELD, FREE = ("close", "hold", "release"), ("tighten", "home")
 
 
 class PostureTick(NamedTuple):
-    """Values of a tick: phase, true, estimated and free angles, deviation (J,) [rad], contact force per digit [N]."""
+    """Values of a tick of a grasp.
+
+    It has the phase, the true and estimated joint angles, the deviation of the estimate, the angles
+    that a free digit would have (J,) [rad], and the contact force on each digit [N].
+    """
 
     phase: str
     real: np.ndarray
@@ -55,7 +59,7 @@ def packaged(name: str) -> Path:
 
 
 def with_encoders(folder: Path, joints: int | None = None) -> Path:
-    """Return jamia with a joint encoder at every joint, or only at the first ones."""
+    """Return the file of a jamia hand with joint encoders at all joints, or at the first ``joints`` ones."""
     text = packaged("jamia").read_text(encoding="utf-8")
     read = load_hand("jamia").joints[:joints]
     path = folder / "encoders.toml"
@@ -64,7 +68,7 @@ def with_encoders(folder: Path, joints: int | None = None) -> Path:
 
 
 def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureTick]:
-    """Return a grasp in lockstep, tick by tick."""
+    """Yield the values of each tick of a simulated grasp."""
     model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
     program = TaskProgram(find_task(Path(task), model.hand)[0])
     with Simulator(path, scene, seed, homed=True).against(homed_controller(model, program)) as run:
@@ -85,7 +89,10 @@ def rms(values: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("task", "scene"), GRASPS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS[:2])
 def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: int) -> None:
-    """At least 95 % of all joints and ticks. During the hold the error is smaller than with a free digit's angles."""
+    """This holds for at least 95 % of joints and ticks.
+
+    During the hold, the angles of free digits would be further off.
+    """
     seen = list(run_grasp(packaged("jamia"), task, scene, seed))
     held = [one for one in seen if one.phase in HELD]
     assert np.mean([np.abs(one.q - one.real) <= 2.0 * one.sigma for one in held]) >= 0.95
@@ -119,7 +126,10 @@ class Angles(NamedTuple):
 
 
 def angles_of_tick(model: HandModel, state: State, estimate: Estimate, touched: np.ndarray, k: int) -> Angles:
-    """Return the angles of a tick with unexplained tensions (D,) [N]. The state stores the tick."""
+    """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
+
+    The state then contains the tick.
+    """
     state.view("touch")[...] = touched
     state.set_whole(s.K, k)
     detect_contacts(model, state, estimate._replace(external=touched[list(model.digit_of)]))
@@ -175,14 +185,18 @@ def _fuse(
 
 
 def state_after_fusion(model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int) -> State:
-    """Return a state after the fusion of joint encoders. Columns (C, J) and spread (J, N) give the prior covariance."""
+    """Return a state after joint encoders were fused. Columns (C, J) and spread (J, N) give the prior covariance."""
     after = state.copy()
     _fuse(after.block, after.layout.places, *controller_of(model)._constants, columns, spread, t_ns)
     return after
 
 
 def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
-    """One joint is read. Covariances weight prior and reading, and other joints follow by their correlation."""
+    """Only one joint has an encoder.
+
+    Covariances weight its prior and its reading. The angles of other joints follow by their
+    correlation.
+    """
     model = HandModel.of(load_hand(str(with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ)
     joints, state = len(model.hand.joints), active_state(model)
     noise = constant_tables_of(model).joint[h.ENCODER_VARIANCE]
@@ -205,7 +219,10 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed: int) -> None:
-    """The sequential update equals the matrix form of the Kalman filter. Some frames are too old."""
+    """Encoders are fused one after the other.
+
+    The result is that of the matrix form, although some frames are too old.
+    """
     model = HandModel.of(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, of, state = np.random.default_rng(seed), constant_tables_of(model), active_state(model)
     joints, now = len(model.hand.joints), 10**9

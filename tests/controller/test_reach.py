@@ -1,4 +1,4 @@
-"""Tasks with angles outside the range of the joints."""
+"""Test tasks whose angles are outside the ranges of the joints."""
 
 import json
 from pathlib import Path
@@ -87,7 +87,7 @@ def test_a_tip_force_for_all_digits_names_the_first_that_cannot_make_it():
 
 
 def test_a_tip_force_is_refused_before_the_bus_is_opened(tmp_path, capsys):
-    """The bus does not exist: a run that opened it would fail for another reason."""
+    """The bus of this command does not exist. If the run opened it first, the error would be another one."""
     path = tmp_path / "tip.toml"
     path.write_text('schema = 1\nname = "t"\n[[phase]]\nkind = "close"\n[[phase]]\nkind = "hold"\ntip_force_N = 4.0\n')
     for words in (["config", "check", "--task", str(path)], ["run", "--bus", "local:nobody", "--task", str(path)]):

@@ -1,4 +1,4 @@
-"""Replies without a request: the fault that they mean, and the frames that count as replies."""
+"""Test replies that no request explains: the fault that they show, and the frames that count as replies."""
 
 import pytest
 
@@ -9,12 +9,12 @@ from handctl.programs.live import LiveProgram
 from tests.controller.bench import Bench, bench
 
 UNASKED = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
-"""Feedback of the first motor, enabled."""
+"""Feedback frame of the first motor. It reports that the motor is enabled."""
 
 
 @pytest.fixture
 def silent(jamia: HandModel) -> Bench:
-    """Return a hand before the first request."""
+    """Return a bench whose controller has not yet sent a request."""
     run = bench(jamia, LiveProgram())
     run.tick()
     return run
@@ -22,7 +22,7 @@ def silent(jamia: HandModel) -> Bench:
 
 @pytest.fixture
 def run(jamia: HandModel) -> Bench:
-    """Return an active hand."""
+    """Return a bench whose hand is active."""
     run = bench(jamia, LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(0.1)
@@ -56,7 +56,7 @@ def test_the_first_reply_to_the_first_request_is_not_in_excess(silent: Bench) ->
 
 
 def test_frames_of_others_do_not_make_a_duplicate_a_second_node(run: Bench) -> None:
-    """Only the frames of a motor that were decoded as feedback count."""
+    """Only frames that were decoded as feedback of a motor count as its replies."""
     run.to_host = lambda frames: [*frames, *[f for f in frames if f.can_id == 0x11], Frame(0x11, bytes([0x12] * 8))]
     assert faults(run.tick()) == ["B05", "B09"]
 
@@ -84,12 +84,12 @@ def is_cell(run: Bench, frame: Frame) -> bool:
 
 
 def with_older_counter(cell: Frame) -> Frame:
-    """Return the same frame with the counter of another SYNC."""
+    """Return a load-cell frame with the counter of another SYNC."""
     return cell._replace(data=bytes([cell.data[0] ^ 1]) + cell.data[1:])
 
 
 def with_other_tension(cell: Frame) -> Frame:
-    """Return a reply to the same SYNC with another tension."""
+    """Return a load-cell frame with the same counter, but with another tension."""
     return cell._replace(data=bytes([cell.data[0] ^ 0x10]) + cell.data[1:])
 
 
@@ -98,7 +98,7 @@ def with_other_tension(cell: Frame) -> Frame:
     (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
 ])  # fmt: skip
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(run, outstanding, came, found) -> None:
-    """A late reply to an older request may have other bytes than the new reply."""
+    """A late reply to an older request is not in excess. Its bytes may differ from those of the new reply."""
     if outstanding == 2:
         run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
         run.tick()
@@ -108,7 +108,11 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(run, outsta
 
 
 def change_first_motor(answer: Frame, kinds: str) -> list[Frame]:
-    """Return replies of the first motor: A is equal, B has another temperature. Other replies stay unchanged."""
+    """Return a motor's reply once for each letter.
+
+    For A it is unchanged, and for B it has another temperature. Only replies of the first motor are
+    repeated.
+    """
     if answer.can_id != 0x11:
         return [answer]
     other = answer._replace(data=answer.data[:7] + bytes([answer.data[7] ^ 1]))

@@ -1,4 +1,4 @@
-"""Requests: valid and invalid ones. No datagram of another program can stop the loop."""
+"""Test valid and invalid requests to the control loop. No datagram that another program sends can stop the loop."""
 
 import json
 import math

@@ -1,4 +1,8 @@
-"""The control law under limits: a warm drive, a HOLD, and the trim after a change of gains."""
+"""Test the control law with limited tensions.
+
+Limits come from a warm drive, from safety that holds the hand (HOLD), and from the trim after a
+change of gains.
+"""
 
 import numpy as np
 import pytest
@@ -14,7 +18,7 @@ HIGH_N = 60.0
 
 
 AT_ONCE = 1e6
-"""Rate at which a set-point is at its goal in one tick [N/s]."""
+"""Rate of a set-point that is so fast that it reaches its goal in one tick [N/s]."""
 
 
 def idle(model: HandModel) -> LawState:

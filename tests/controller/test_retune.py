@@ -1,4 +1,7 @@
-"""Gains that change in a run: within bounds, without a step in torque, and part of the hashed state."""
+"""Test gains that change during a run.
+
+They stay within bounds, cause no step in torque, and are part of the hashed state.
+"""
 
 import json
 from collections.abc import Mapping
@@ -35,7 +38,10 @@ def change(values: Mapping[str, float]) -> str:
 
 
 def noiseless_hand(model: HandModel) -> Bench:
-    """Return the simulated hand with noiseless load cells, taut and waiting."""
+    """Return a bench with the simulated hand, which has noiseless load cells.
+
+    Its tendons are taut, and it waits for requests.
+    """
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
     peer = load_peer("firmware_sim.rig:Rig", **options)
     desk = Bench(controller(model, LiveProgram()), peer)
@@ -47,7 +53,7 @@ def noiseless_hand(model: HandModel) -> Bench:
 
 @pytest.fixture
 def holding(jamia: HandModel) -> Bench:
-    """Return a hand whose tensions rise, so that the loops have errors."""
+    """Return a bench whose hand raises its tensions, so that the tension loops have errors."""
     desk = noiseless_hand(jamia)
     desk.tick(HOLD)
     desk.run(0.1)
@@ -85,7 +91,7 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
 
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
-    """The next run would not have the new gains."""
+    """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
     desk = Bench(
         controller(jamia, CommissionProgram()), load_peer("firmware_sim.rig:Rig", hand_path=str(hand_path("jamia")))
     )
@@ -112,7 +118,11 @@ Call = tuple[Controller, State, State, Action, int]
 
 
 def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
-    """Record calls of the control law: tendons, state before and after, demand of the monitor, and ticks."""
+    """Return a list that records calls of the control law.
+
+    A call has its controller, the states before and after it, the action of the safety monitor, and
+    the number of ticks.
+    """
     calls, real = list[Call](), Controller._compute_torques
 
     def command(self: Controller, state: State, action: Action, ticks: int) -> None:
@@ -137,7 +147,7 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
 def test_a_change_makes_no_step_in_torque(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch, request_: str, values: dict[str, float]
 ) -> None:
-    """In the tick of the change, new gains plus trim give the command of the old gains."""
+    """In the tick of the change, the new gains and the trim together give the command of the old gains."""
     desk = noiseless_hand(jamia)
     desk.tick(request_)
     desk.run(0.1)
@@ -159,7 +169,7 @@ def test_a_change_makes_no_step_in_torque(
 def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise the limited part becomes a trim that makes the tendon slack."""
+    """If only the old gains were limited, the difference would become a trim that makes the tendon slack."""
     desk = noiseless_hand(jamia)
     desk.tick(MOVE)
     desk.run(0.05)
@@ -247,7 +257,10 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
 
 @pytest.mark.parametrize("high", [False, True])
 def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high: bool) -> None:
-    """Set one key at a time to its bound, the others as packaged. A strict bound is approached to one hundredth."""
+    """One gain at a time is set to its bound, the others keep their defaults.
+
+    A bound that is not allowed itself is approached to one hundredth of the default.
+    """
     for key, bound in bounds().items():
         if bound.live:
             value = bound.high if high else bound.low + (0.01 * bound.default if bound.open_low else 0.0)

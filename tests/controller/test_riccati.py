@@ -1,4 +1,4 @@
-"""The Riccati solutions equal those of the package ``control`` to the last bit."""
+"""The solutions of Riccati equations equal those of the Python package ``control`` to the last bit."""
 
 import control
 import numpy as np

@@ -1,4 +1,4 @@
-"""After an exception in a tick, the drives get a disable command until they confirm that they are disabled."""
+"""After an exception in a tick, the drives get disable commands until each has confirmed that it is disabled."""
 
 from pathlib import Path
 

@@ -1,4 +1,8 @@
-"""Slip: detected when a digit is pushed open, and countered by more force up to the limit of the task."""
+"""Test slip of a grasped object.
+
+It is detected when a digit is pushed open. The grasp then raises its force up to the limit of the
+task.
+"""
 
 import json
 from pathlib import Path
@@ -21,7 +25,7 @@ TENSION_N = 20.0
 
 
 class GraspRun:
-    """A grasp of all digits but the last, tick by tick on synthetic estimates."""
+    """A grasp with all digits except the last. It runs tick by tick on synthetic estimates."""
 
     def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
         self.model, self.quiet = model, estimate_under_tension(model, TENSION_N, 0.5)
@@ -46,7 +50,7 @@ class GraspRun:
             self.events += events
 
     def moved(self, metres: float, digit: int = 0) -> Estimate:
-        """Move a digit by further winding of its tendons."""
+        """Return the estimate after the tendons of a digit were wound further by ``metres``."""
         travel = self.quiet.travel.copy()
         travel[self.model.digit_tendons[digit]] += metres
         return self.quiet._replace(travel=travel)
@@ -138,7 +142,7 @@ def grasp(limit: str) -> TaskProgram:
 def test_a_growing_load_removes_the_object_only_without_slip_reaction(
     hand: str, friction: float, rate: float, tmp_path: Path
 ) -> None:
-    """Load, plant and seed are equal. Only the key of the task that permits more force differs."""
+    """Both runs have equal loads, hands and seeds. Only the task key that permits more force differs."""
     scene, motion, tension = PULL.format(friction=friction, rate=rate), {}, {}
     for limit in ("", "limit"):
         run = run_on_plant(hand, grasp(limit), scene, tmp_path, 5.6)

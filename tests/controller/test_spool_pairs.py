@@ -1,4 +1,7 @@
-"""Spool pairs: two antagonistic tendons on one motor, from the hand file to the simulator."""
+"""Test spool pairs from the hand file to the simulator.
+
+In a spool pair, two antagonistic tendons share one motor.
+"""
 
 import os
 from dataclasses import dataclass, replace
@@ -42,7 +45,7 @@ SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 @cache
 def finger() -> Hand:
-    """A finger of two joints, each with a spool pair."""
+    """Return a hand with one finger. Each of its two joints has a spool pair."""
     return load_hand(FILE)
 
 
@@ -54,7 +57,8 @@ def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: 
     random = np.random.default_rng(seed)
     net, pretension = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0)
     assert interpreted(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
-    # With half of the first and twice of the second tendon's tension both are determined.
+    # The net tension with half the first and twice the second tendon's tension gives a second
+    # equation for both.
     halved = interpreted(net_tension_at_joint)(net, pretension, 0.5)
     first = (2.0 * net - halved) / 1.5
     second = first - net
@@ -69,7 +73,8 @@ def test_friction_of_both_tendons_is_subtracted_and_added_back(seed: int) -> Non
     net, pretension, passed = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0), np.exp(random.uniform(-0.3, 0.3))
     behind = interpreted(net_tension_at_joint)(net, pretension, passed)
     assert interpreted(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(net, abs=1e-9)
-    # A pair at rest has friction by its pretension alone: the winding tendon loses, the other gains.
+    # Even without net tension, the pretension of a pair causes friction. The winding tendon loses
+    # tension, the other one gains.
     lost = net - interpreted(net_tension_at_joint)(net, pretension, min(passed, 1.0 / passed))
     assert lost >= 0.0
 
@@ -81,7 +86,10 @@ def test_a_single_tendon_is_the_limit_of_a_pair_without_pretension() -> None:
 
 @pytest.mark.parametrize("stretch_mm", [0.0, 0.1, -0.1, 0.16, 0.4, -0.4])
 def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm: float) -> None:
-    """Up to 2 p both tendons are taut and their stiffnesses add. Above, only one is taut."""
+    """Both tendons are taut and their stiffnesses add until the net tension is twice the pretension.
+
+    Above, only one is taut.
+    """
     tendon, motor = finger().tendon[0], finger().motor[0]
     pretension = tendon.pretension_N
     assert pretension is not None
@@ -102,7 +110,7 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
 def run_of(
     peer: SimulatedHand, hand: Hand, program: Program, calibration: Calibration | None, first: int
 ) -> Simulation:
-    """Begin a run of a program at a tick, on a hand that may have run before."""
+    """Begin a run of a program at tick ``first``. The simulated hand may have run before."""
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = Simulation.of(controller, peer)
     run.k = first
@@ -126,7 +134,10 @@ MOVES = Task.model_validate(
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
-    """The zeros are those of the simulator, the joints follow within a degree, and no tendon exceeds its limit."""
+    """Commissioning finds the motor zeros of the simulator.
+
+    Joints follow within a degree, and no tendon exceeds its limit.
+    """
     hand = finger()
     with Simulator(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
         plant = peer.world.plant
@@ -136,7 +147,8 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         assert not run.state.progress.failure
         calibration = calibration_of_result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
         assert all(row.answer_N == pytest.approx(PULL_N, abs=0.8) for row in calibration.tendon.values())
-        # Without load cell and joint encoders, friction leaves the zero uncertain by 0.1 mm, a half degree.
+        # Without load cells and joint encoders, friction leaves each motor zero uncertain by 0.1
+        # mm, which is half a degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         wound = [tendon.extra_length + hand.tendon[i].pretension_N / hand.tendon[i].stiffness_N_per_m
                  for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip
@@ -159,7 +171,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
 
 @dataclass(frozen=True)
 class Pull:
-    """Program that pulls both pairs of the finger with the same net tension."""
+    """Program that pulls both spool pairs of the finger with the same net tension [N]."""
 
     tension: float
 
@@ -177,7 +189,10 @@ class Pull:
 
 @pytest.mark.parametrize("tension", [-200.0, -40.0, 12.0, 40.0, 200.0])
 def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
-    """At each stop the tensions have the goal, or the limit minus sigma of an estimated tension."""
+    """At a joint's stop the net tension is the goal.
+
+    A larger goal is limited to the limit of the hand minus sigma of an estimated tension.
+    """
     hand = finger()
     limit = hand.tendon[0].tension_max_N
     with Simulator(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
@@ -207,13 +222,13 @@ def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) ->
 
 
 def with_tendon(**values: object) -> dict[str, object]:
-    """Return the finger's content with other values of its first tendon."""
+    """Return the content of the finger's hand file with other values of its first tendon."""
     content = hand_content(FILE)
     return content | {"tendon": [content["tendon"][0] | values, *content["tendon"][1:]]}
 
 
 def with_digit(**values: object) -> dict[str, object]:
-    """Return the finger's content with other values of its digit."""
+    """Return the content of the finger's hand file with other values of its digit."""
     content = hand_content(FILE)
     return content | {"digit": [content["digit"][0] | values]}
 

@@ -1,4 +1,7 @@
-"""The hash of the decisions: values are taken over from one tick to the next, and never wrongly."""
+"""Test the hash of the controller's decisions.
+
+It reuses values of the last tick, but never a value that has changed.
+"""
 
 import numpy as np
 import pytest
@@ -27,7 +30,7 @@ def test_values_of_same_objects_are_taken_over() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_sequence_cache_gives_the_same_values_as_its_function(seed: int) -> None:
-    """Two controllers in one process share the cache, and their sequences have different lengths."""
+    """Two controllers in one process share the cache. The sequences that they hash have different lengths."""
     draw = np.random.default_rng(seed)
     items = [(i, float(i)) for i in range(6)] + [(1, 1), (True, 1.0)]
     cache = SequenceCache[object](IdentityCache[object](plain_bytes))

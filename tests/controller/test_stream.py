@@ -1,4 +1,4 @@
-"""Streamed targets in lockstep: interpolation, limits, bad clients, stale streams, and who may command."""
+"""Test streamed targets in lockstep: interpolation, limits, stale streams, bad clients, and the right to command."""
 
 import json
 import math
@@ -31,17 +31,17 @@ MIDDLE_DEG, SWING_DEG = 30.0, 20.0
 
 
 def sine(t: Any) -> Any:
-    """Return the angle of the test motion, 1 Hz [deg]."""
+    """Return the angle of the test motion at time t [deg]. The motion is a sine of 1 Hz."""
     return MIDDLE_DEG + SWING_DEG * np.sin(2.0 * math.pi * t)
 
 
 class Client:
-    """A client of a hand in lockstep.
+    """A client that commands a simulated hand in lockstep.
 
     Attributes:
-        run: the simulation.
-        sent: number of targets so far.
-        outs: outputs of all ticks since the hand is live.
+        run: the simulation of the hand.
+        sent: number of targets that the client has sent so far.
+        outs: outputs of all ticks since the hand began to wait for requests.
     """
 
     def __init__(self, run: Simulation, model: HandModel, name: str = "one") -> None:
@@ -55,12 +55,12 @@ class Client:
         return self.run.k * self.run.period_ns
 
     def tick(self, *requests: str) -> TickOut:
-        """Run a tick."""
+        """Run a tick in which requests arrive, and return its output."""
         self.outs.append(self.run.tick(requests=requests))
         return self.outs[-1]
 
     def wait(self, seconds: float) -> None:
-        """Run ticks without a request."""
+        """Run ticks without a request for a time."""
         for _ in range(round(seconds / self.model.period)):
             self.tick()
 
@@ -70,46 +70,49 @@ class Client:
         return [event.text for event in out.events if event.name == "request"][-1]
 
     def open(self, space: str = "digit", names: tuple[str, ...] = ("index",), **fields: Any) -> str:
-        """Open a stream."""
+        """Open a stream of targets, and return the text of the last event about the request."""
         fields = {"interpolation": "linear", "rate_Hz": RATE_HZ} | fields
         return self.ask("stream", stream="s", space=space, names=names, **fields)
 
     def target(self, *values: float, number: int | None = None, age_s: float = 0.0) -> str:
-        """Return the request of a target that is sent now."""
+        """Return the request of a streamed target. It was sent ``age_s`` seconds ago."""
         self.sent += number is None
         return target_text("s", self.sent if number is None else number, self.t_ns - round(1e9 * age_s), values)
 
     def follow(self, motion: Callable[[float], float], seconds: float, rate_Hz: float = RATE_HZ) -> None:
-        """Stream a motion of one value in regular time."""
+        """Stream the values of a motion at a regular rate."""
         every = round(1.0 / rate_Hz / self.model.period)
         for i in range(round(seconds / self.model.period)):
             self.tick(*([self.target(motion(i * self.model.period))] if i % every == 0 else []))
 
     @property
     def faults(self) -> set[str]:
-        """Return the ids of all faults so far."""
+        """Return the ids of all faults that were reported so far."""
         return {event.text.split()[0] for out in self.outs for event in out.events if event.name == "fault"}
 
     def goals(self, name: str) -> Any:
-        """Return the goals of the first joint in all ticks so far."""
+        """Return the goals of the first joint or tendon in all ticks so far, from a field of the telemetry."""
         return np.array([getattr(out.telemetry, name)[0] for out in self.outs])
 
 
 @contextmanager
 def live(model: HandModel) -> Iterator[Client]:
-    """A hand that takes commands."""
+    """Yield a client of a simulated hand that waits for requests."""
     hand = model.hand.name
     with Simulator(hand, homed=True).against(homed_controller(model, LiveProgram())) as run:
         yield Client(run, model)
 
 
 def true_angle(run: Simulation) -> float:
-    """Return the mean joint angle of the first digit in the plant [deg]."""
+    """Return the mean joint angle of the first digit in the simulator [deg]."""
     return float(np.degrees(run.peer.world.plant.engine.q[:3]).mean())
 
 
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
-    """The client knows the future, so it sends the angle that the hand shall have after the horizon."""
+    """The client knows the motion in advance.
+
+    It therefore sends the angle that the hand shall have after the horizon.
+    """
     errors = {}
     for interpolation in ("linear", "minimum_jerk"):
         with live(jamia) as client:
@@ -133,7 +136,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
 
 
 def error_of_trajectory(model: HandModel) -> float:
-    """Return the error of the same motion as a task [deg]."""
+    """Return the RMS error of a hand that performs the sine as a trajectory of a task [deg]."""
     times = np.arange(0.0, 3.001, 0.02)
     stay = {"kind": "move", "name": "stay", "angle_deg": {"index": MIDDLE_DEG}, "duration_s": 1.0}
     angles = {"index": sine(times).tolist()}
@@ -153,7 +156,7 @@ def error_of_trajectory(model: HandModel) -> float:
 
 
 def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
-    """Also from a snapshot in the middle of the stream."""
+    """The ticks repeat from the start, and also from a snapshot in the middle of the stream."""
     with live(jamia) as client:
         client.open(space="joint", names=("index_j1", "index_j2", "index_j3", "thumb_j1"), interpolation="minimum_jerk")
         for i in range(100):
@@ -192,7 +195,7 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(jamia: HandModel, int
         assert np.abs(np.diff(angle)).max() <= limits.speed_deg_s * jamia.period * (1 + 1e-9)
         assert angle.min() >= -1e-9
         assert angle.max() <= 100.0 + 1e-9
-        if target == 150.0:  # the finger meets the palm before the end of its range
+        if target == 150.0:  # the finger touches the palm before its goal
             assert 7.0 < angle[-1] - true_angle(client.run) < 9.0
         else:
             assert angle[-1] == pytest.approx(max(target, 0.0), abs=1e-6)
@@ -203,7 +206,7 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(jamia: HandModel, int
 
 
 def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
-    """A policy gone wild: any angle, at any time, twenty seeds."""
+    """The targets are like those of a policy that fails: random angles at random times, with twenty seeds."""
     limits, period = jamia.hand.stream, jamia.period
     with live(jamia) as client:
         for seed in range(20):
@@ -242,7 +245,10 @@ def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
 
 
 def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
-    """Nothing is extrapolated: the reference never passes the last target by more than its braking."""
+    """While a target is late, the stream is not extrapolated.
+
+    The reference passes the last target only by its braking distance.
+    """
     with live(jamia) as client:
         client.open()
         client.follow(lambda t: 50.0 * t, 0.5)
@@ -315,7 +321,7 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
 
 
 def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
-    """Regression: both count as sent at the time of the tick, and the second was called overtaken."""
+    """Both targets count as sent at the time of the tick. Regression: the second one was refused as overtaken."""
     with live(jamia) as client:
         client.open()
         client.tick(client.target(10.0, age_s=-1e-4), client.target(10.0, age_s=-2e-4))
@@ -324,7 +330,7 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
 
 
 def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
-    """Targets arrive up to 8 ms late, some are lost: no tick needs the acceleration limit."""
+    """Targets arrive up to 8 ms late, and some are lost. The reference still follows the motion without faults."""
     random = np.random.default_rng(4)
     with live(jamia) as client:
         client.ask("move", angle_deg={"index": MIDDLE_DEG})
@@ -366,7 +372,7 @@ def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
 
 
 def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
-    """Regression: every goal began at rest at the estimate, so a goal 50 times a second stood still."""
+    """Regression: each new goal began at rest at the estimated angle, so a hand with 50 goals a second stood still."""
     with live(jamia) as client:
         client.ask("move", angle_deg={"index": MIDDLE_DEG})
         client.wait(1.2)
@@ -381,7 +387,7 @@ def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
 
 
 def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
-    """A quintic that continues 300 deg/s over five seconds would swing 280 degrees beyond its end."""
+    """A quintic polynomial that continues 300 deg/s over five seconds would swing 280 degrees beyond its end."""
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
     move = continued_move(reference, np.radians([10.0]), 5.0, reach)
@@ -392,7 +398,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
 
 
 def test_three_goals_out_of_range_are_no_fault(jamia: HandModel) -> None:
-    """Regression: they relaxed the hand and latched."""
+    """Regression: three such goals caused a latched fault that relaxed the hand."""
     with live(jamia) as client:
         for _ in range(5):
             assert "from 0 to 100 deg" in client.ask("move", angle_deg={"index": 120.0})
@@ -450,7 +456,10 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 
 
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
-    """Every joint of a hand by name: coupled joints turn by the nearest common angle."""
+    """A stream of angles of single joints moves the digits.
+
+    Coupled joints turn by the common angle nearest to their targets.
+    """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)
     assert where.driven.all()
@@ -480,13 +489,14 @@ def test_tensions_follow_a_stream(jamia: HandModel) -> None:
     with live(jamia) as client:
         assert "expected one of angles" in client.open("tension", ("index_tendon",), stiffness_N_m_per_rad=1.0)
         assert client.open("tension", ("index_tendon",)).startswith("stream tension of 1 values")
-        for i in range(2000):  # slowly: 1 N moves a free finger by 12 deg
+        for i in range(2000):  # slow, because 1 N moves a free finger by 12 deg
             wave = 10.0 + 3.0 * math.sin(2.0 * math.pi * i / 1000)
             client.tick(*([client.target(wave)] if i % 5 == 0 else []))
         goal = np.array([out.telemetry.tension_goal[0] for out in client.outs[-1000:]])
         felt = np.array([out.telemetry.tension[0] for out in client.outs[-1000:]])
         assert np.ptp(goal) == pytest.approx(6.0, abs=0.3)
-        # Half of the motor's Coulomb friction, 3 N, which a moving free finger meets in both directions.
+        # The tolerance is half of the motor's Coulomb friction of 3 N. A moving free finger meets
+        # this friction in both directions.
         assert np.sqrt(np.mean((goal - felt) ** 2)) < 1.5
         rate = np.abs(np.diff(goal)).max() / jamia.period
         assert rate < 1.5 * 3.0 * math.pi, "a ramp between targets, no steps"
@@ -556,7 +566,7 @@ def test_a_softer_stream_is_still_followed_and_stable(jamia: HandModel, softness
 
 
 PUSH_N = 1.5
-"""Force on the last link of the index finger against flexion, +y of the palm frame [N]."""
+"""Force against flexion on the last link of the index finger, along +y of the palm frame [N]."""
 
 
 def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
@@ -578,7 +588,10 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
 
 
 def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(jamia11: HandModel) -> None:
-    """Bending an outer joint alone needs an inner tendon that pushes: the monitor found it slack, and relaxed."""
+    """To bend an outer joint alone, an inner tendon would have to push.
+
+    Regression: the safety monitor found this tendon slack and relaxed the hand.
+    """
     digit = jamia11.digits[0]
     floor = jamia11.floor[digit.tendons]
     for angles in ([0.0, 25.0, 0.0], [0.0, 0.0, 40.0], [30.0, 30.0, 30.0], [5.0, 60.0, 60.0]):

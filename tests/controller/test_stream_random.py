@@ -1,8 +1,9 @@
-"""Random streamed targets: no fault that stops the hand.
+"""Random streamed targets cause no fault that stops the hand.
 
-Targets are legal, up to both ends of the range, and change as fast as a client likes. Tensions go to one
-digit of each packaged hand with springs. Angles go to all digits of each packaged hand, which then meet
-each other. T02a, a warning of a slack tendon, is no failure.
+The targets are within their ranges, reach both ends, and change at any speed. Streams of tensions
+go to one digit of each packaged hand with springs. Streams of angles go to all digits of each
+packaged hand. The digits then touch each other. A warning of a slack tendon (T02a) is no failure of
+the test.
 """
 
 import os
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SECONDS = 3.0
 STREAM_HZ = 100.0
-"""Rate of the streams, or that of the control loop if it is lower [Hz]."""
+"""Rate of the streams [Hz]. A control loop with a lower rate gets targets at its own rate."""
 
 
 @cache
@@ -38,26 +39,26 @@ def model_of(name: str) -> HandModel:
 
 
 def noise(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
-    """Return white noise that also exceeds the limits."""
+    """Return targets of white noise, which also exceeds the limits."""
     beyond = 0.1 * (high - low)
     return rng.uniform(low - beyond, high + beyond, (len(t), len(low)))
 
 
 def steps(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
-    """Return steps from limit to limit."""
+    """Return targets that step from one limit to the other."""
     hold = int(rng.integers(5, 40))
     levels = rng.integers(0, 2, (len(t), len(low)))[np.arange(len(t)) // hold]
     return np.where(levels, high, low)
 
 
 def sine(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
-    """Return sines from limit to limit, of 0.3 to 6 Hz."""
+    """Return targets that oscillate as sines between the limits, at 0.3 to 6 Hz."""
     angle = 2.0 * np.pi * rng.uniform(0.3, 6.0, len(low)) * t[:, None] + rng.uniform(0.0, 6.28, len(low))
     return (low + high) / 2 + (high - low) / 2 * np.sin(angle)
 
 
 def walk(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
-    """Return random walks within the limits, a new step 50 times a second."""
+    """Return targets that walk at random within the limits. A walk takes 50 steps a second."""
     steps_of_walk = rng.normal(0.0, 0.125, (len(t), len(low))) * (np.arange(len(t)) % 2 == 0)[:, None]
     place = np.empty_like(steps_of_walk)
     present = np.full(len(low), 0.5)
@@ -68,7 +69,7 @@ def walk(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
 
 
 def limits(name: str, space: str, digit: str) -> tuple[tuple[str, ...], Array, Array]:
-    """Return the names of a digit's values, and their lowest and highest targets [deg, N]."""
+    """Return the names of a stream's values, and the lowest and highest target of each [deg or N]."""
     hand = load_hand(name)
     if space == "tension":
         tendons = hand.tendon[hand.digit_tendons[digit]]
@@ -102,7 +103,11 @@ SAMPLE = [*CASES[1:14:4], ("digit", "t42", walk), ("digit", "jamia", noise)]
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 1))
 @pytest.mark.parametrize(("space", "hand", "kind"), CASES if NIGHTLY else SAMPLE)
 def test_random_targets_cause_no_fault(space: str, hand: str, kind: Callable[..., Array], seed: int) -> None:
-    """Random streams ended within 45 ms with T01: a setpoint ran ahead of a free digit, a reference of a held one."""
+    """Regression: random streams ended within 45 ms with the fault T01.
+
+    The set-point of a tension ran ahead of a free digit. The reference of an angle ran ahead of a
+    held digit.
+    """
     model = model_of(hand)
     digit = model.hand.digit_names[0]
     names, low, high = limits(hand, space, digit)

@@ -1,4 +1,4 @@
-"""Time until a tendon counts as taut again."""
+"""Test the time that passes until a tendon counts as taut again."""
 
 import pytest
 
@@ -13,7 +13,10 @@ SLACK = int(Regime.SLACK)
 
 @pytest.mark.parametrize(("length_is_known", "samples"), [(True, 1), (False, 3)])
 def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(length_is_known: bool, samples: int) -> None:
-    """At 200 Hz a tendon gains 1 N from one sample to the next, so each sample counts."""
+    """At 200 Hz the tension of a tendon grows by 1 N from one sample to the next.
+
+    No sample may therefore be wasted.
+    """
     points, taken = 0, 0
     while not interpreted(is_regime_over)(SLACK, points, False):
         points = interpreted(regime_evidence)(SLACK, points, 0.0, 1.6, 0.0, length_is_known)

@@ -1,4 +1,4 @@
-"""Task files: the packaged task suits every hand, and an error names its key."""
+"""Test task files. Packaged tasks suit all hands that can follow them, and an error names its key."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ tension_N = { index = 20.0 }
 
 @pytest.fixture
 def refusal(tmp_path: Path):  # type: ignore[no-untyped-def]
-    """Return the line with which a task text is refused."""
+    """Return a function that loads a wrong task text and returns the error line with which it is refused."""
 
     def refuse(text: str, digits: tuple[str, ...] = ("index", "thumb"), ceiling: float = 110.0) -> str:
         path = tmp_path / "t.toml"
@@ -53,7 +53,10 @@ JAMIA_DIGITS = ("index", "middle", "ring", "thumb")
 
 
 def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
-    """The tasks name the digits of a Jamia hand. A task that names single joints needs a tendon at each."""
+    """The tasks name the digits of a Jamia hand.
+
+    A task that names single joints needs a hand with a tendon at each joint.
+    """
     import handctl
 
     paths = {path.stem: path for path in (Path(handctl.__file__).parent / "tasks").glob("*.toml")}
@@ -83,7 +86,7 @@ def test_a_list_has_one_number_for_each_coordinate_of_the_digit(tmp_path: Path) 
 
 
 def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_path: Path) -> None:
-    """A finger of n joints and n + 1 tendons: n angles, n + 1 tensions."""
+    """A digit with n joints and n + 1 tendons takes n angles and n + 1 tensions."""
     hand = hand_with_an_extensor()
     assert shapes_of_digits(hand)["thumb"] == DigitShape(2, 3, ("thumb_j1", "thumb_j2"))
     for angles, tensions, wrong in (
@@ -101,7 +104,7 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
 
 
 def hand_with_an_extensor() -> Hand:
-    """Return jamia11 with a third tendon that opens both joints of its thumb."""
+    """Return the hand jamia11 with a third tendon at its thumb. The tendon opens both joints of the thumb."""
     content = hand_content("jamia11")
     motor = {**content["motor"][-1], "name": "thumb_ext_motor", "node_id": content["motor"][-1]["node_id"] + 1}
     arms = {"thumb_j1": -0.003, "thumb_j2": -0.003}
@@ -176,7 +179,7 @@ def test_an_empty_table_of_digits_is_accepted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", [TARE_PHASE, "start"])
 def test_a_phase_may_not_have_a_reserved_name(refusal, name: str) -> None:  # type: ignore[no-untyped-def]
-    """The controller treats the names tare and start in a special way."""
+    """A phase may not be called tare or start, because the controller treats these names in a special way."""
     assert "must not be named" in refusal(GOOD.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"'))
 
 

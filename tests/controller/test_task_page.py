@@ -1,4 +1,7 @@
-"""docs/reference/tasks.md: its examples of task and scene are valid, and its tables name existing keys."""
+"""Test the page docs/reference/tasks.md.
+
+Its examples of a task and of a scene are valid, and its tables name only keys that exist.
+"""
 
 import re
 from pathlib import Path

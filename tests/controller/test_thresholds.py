@@ -1,4 +1,4 @@
-"""Thresholds that depend on the hand: a value above the limit of one hand is normal for another."""
+"""Test thresholds that depend on the hand. A value above the limit of one hand is normal for another hand."""
 
 from pathlib import Path
 

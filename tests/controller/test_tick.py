@@ -1,4 +1,7 @@
-"""The tick as a pure function: equal inputs give equal outputs, and inputs stay unchanged, for any frames."""
+"""Test that the tick is a pure function.
+
+Equal inputs give equal outputs and inputs stay unchanged, for any received frames.
+"""
 
 import random
 
@@ -19,7 +22,10 @@ from tests.controller.bench import Bench, bench
 
 
 def run_session(name: str) -> Bench:
-    """Return a whole live session: arming, moving, holding, a lost frame, a fault, and relaxing."""
+    """Return the bench of a whole live session.
+
+    The hand is armed, moves, holds, loses a frame, has a fault, and relaxes.
+    """
     rate = {"jamia": 200.0, "jamia11": 200.0}[name]
     run = bench(HandModel.of(load_hand(name), Gains(), rate), LiveProgram())
     run.until(Mode.ACTIVE)
@@ -44,13 +50,13 @@ def session(request: pytest.FixtureRequest) -> Bench:
 
 
 def bytes_of(out: TickOut) -> tuple[object, ...]:
-    """Return all outputs of a tick in a form in which NaN equals NaN."""
+    """Return all outputs of a tick in a form that can be compared. In this form NaN equals NaN."""
     plain = (out.frames, out.mode, out.phase, out.action, out.events, out.state_hash)
     return (*plain, out.telemetry.packed())
 
 
 def test_equal_inputs_give_equal_outputs(session: Bench) -> None:
-    """A run of ticks that is executed again from any state agrees in every byte."""
+    """Any tick of a session that is executed again from its state gives the same outputs in every byte."""
     for before, entry, out in session.history[::3]:
         digest = before.digest()
         after, again = session.controller.tick(before, entry)
@@ -81,7 +87,10 @@ def test_the_order_of_frames_within_a_tick_does_not_matter(session: Bench) -> No
 
 
 def test_frames_with_unknown_identifiers_change_no_decision(session: Bench) -> None:
-    """Only their counters change. A known identifier with a flag counts as a frame of a wrong form."""
+    """Only the counters of unknown frames change.
+
+    A known identifier with an extra flag counts as a malformed frame.
+    """
     noise = (Frame(0x666, bytes(8)), Frame(0x1A0, bytes(8), bus=3))
     misshapen = Frame(0x011 | 1 << 31, bytes(8))
     for before, entry, out in session.history[::7]:
@@ -92,7 +101,10 @@ def test_frames_with_unknown_identifiers_change_no_decision(session: Bench) -> N
 
 
 def test_the_origin_of_time_does_not_matter() -> None:
-    """The same run starts 2560 ticks later. Only the SYNC counter and the order of register reads differ."""
+    """A run that starts 2560 ticks later has equal ticks.
+
+    Only its SYNC counter and its order of register reads may differ.
+    """
     model = HandModel.of(load_hand("jamia"), Gains(), 200.0)
     runs = []
     for first in (0, 2560):
@@ -135,7 +147,7 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Bench)
 
 
 def test_old_values_have_no_new_time_stamp() -> None:
-    """A tick without frames shows NaN for every measurement, and its age grows."""
+    """In a tick without frames the telemetry shows NaN for every measurement. The age of the last one grows."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(0.5)
@@ -166,7 +178,10 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
 
 
 def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
-    """The node lists its channels in reverse order, and its second frame is lost."""
+    """The sensor node has its channels in reverse order.
+
+    When its second frame is lost, the right tendons are reported.
+    """
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
     run = bench(HandModel.of(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram())
@@ -202,7 +217,7 @@ frames = st.builds(
 
 @given(burst=st.lists(st.lists(frames, max_size=12), min_size=1, max_size=6))
 def test_no_frame_can_stop_the_tick(active: Bench, burst: list[list[Frame]]) -> None:
-    """For any frame in motion: no exception, every torque within its limit, every number finite."""
+    """For any received frames, no tick of an active hand raises, and all torques are finite and within their limits."""
     state, k = active.state, active.k
     for some in burst:
         state, out = active.controller.tick(state, TickIn(k, k * active.period_ns, frames=tuple(some)))
@@ -229,7 +244,7 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 
 
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
-    """A hand holds an object when its program starts. The tension loop starts at the present tension."""
+    """The tension loop starts at the tension that tendons have when they are armed, for example from a held object."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.peer.x[:] = 0.3e-3 + 20.0 / run.peer.stiffness
     run.peer.braked = True

@@ -1,4 +1,7 @@
-"""A digit with an unplanned contact: an event reports it, and the digit presses with a bounded tension."""
+"""Test a digit that touches an object unplanned.
+
+An event reports the contact, and the digit presses with a bounded tension.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +16,7 @@ from tests.controller.synthetic import Estimate, active_state, balanced_state, d
 
 
 def estimate_with_unexplained_tension(model: HandModel, external: float) -> Estimate:
-    """Return an estimate of a hand at rest with an unexplained tension in every tendon [N]."""
+    """Return the estimate of a hand at rest. All its tendons have the unexplained tension ``external`` [N]."""
     return exact_estimate(model, balanced_state(model, 0.5))._replace(external=np.full(model.tendon_count, external))
 
 
@@ -45,7 +48,7 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
 
 @pytest.fixture(scope="module", params=["jamia", "jamia11"])
 def pressed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, PlantRun]:
-    """Return a run in which the index moves towards 100 degrees, and its first joint meets the palm before."""
+    """Return a hand and its run. The index finger moves towards 100 degrees but touches the palm before."""
     move = JogProgram(MoveDigits(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
     return request.param, run_on_plant(request.param, move, None, tmp_path_factory.mktemp("pressed"), 4.0)
 

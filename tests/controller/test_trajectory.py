@@ -1,4 +1,4 @@
-"""Minimum jerk: start and end, derivatives compared with differences, and no smoother trajectory."""
+"""Test trajectories of minimum jerk: their start and end, and their derivatives. No other trajectory is smoother."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
 
 
 def test_no_admissible_bump_has_less_jerk() -> None:
-    """Compare the integral of jerk squared with that of the same move plus a bump at rest at both ends."""
+    """The integral of squared jerk grows if a bump is added to the move. The bump is at rest at both ends."""
     move, t = MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0), np.linspace(0.0, 1.0, 20001)
     acceleration = np.array([move.at(one)[2][0] for one in t])
     bump = np.gradient(np.gradient(t**3 * (1 - t) ** 3, t), t)
@@ -104,7 +104,7 @@ def test_curve_derivatives_match_differences(points: list[float], share: float) 
 
 
 def test_every_number_of_a_way_is_in_its_plain_form() -> None:
-    """The hash of the state is made of this form."""
+    """The plain form of a trajectory contains all of its numbers, because the state is hashed from it."""
     ways = [
         MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0),
         MinimumJerk(np.array([0.1]), np.array([1.0]), 1.0),

@@ -97,7 +97,7 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
 
 
 def moves(*angles: tuple[float, float]) -> Task:
-    """Return a task of moves: angle of all joints [deg] and duration [s]."""
+    """Return a task of moves. Each pair is the angle of all joints [deg] and the duration of a move [s]."""
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
         for i, (angle, duration) in enumerate(angles)
@@ -106,7 +106,7 @@ def moves(*angles: tuple[float, float]) -> Task:
 
 
 def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
-    """Return the RMSE of true against commanded joint angles while a simulated hand moves [deg]."""
+    """Return the RMSE of true against commanded joint angles [deg] while a simulated hand moves."""
     task = TaskProgram(moves((5.0, 0.5), (42.0, 0.7), (15.0, 0.6), (45.0, 0.6), (10.0, 0.6)))
     errors = list[np.ndarray]()
     with Simulator(hand, None, seed, homed=True).against(homed_controller(model, task, hand)) as run:
@@ -122,7 +122,10 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", ["jamia11", "n_plus_1"])
 def test_arms_by_angle_track_better_than_constant_arms(name: str, seed: int) -> None:
-    """The simulated arms vary by 30 % either way. With mean arms the controller takes the excursion for that of R q."""
+    """The moment arms in the simulator vary by 30 % with the joint angle.
+
+    A controller with mean arms R computes excursions as R q.
+    """
     hand = with_varying_arms(name, 0.3, encoders=False)
     constant = with_varying_arms(name, 0.0, encoders=False)
     with_arms = tracking_error_deg(HandModel.of(hand, Gains(), RATE_HZ), hand, seed)

@@ -25,7 +25,7 @@ MOVE = '{"do": "move", "angle_deg": {"index": 60}}'
 
 @pytest.fixture(scope="module")
 def quick() -> HandModel:
-    """Return a model at a low rate, which makes the tests fast."""
+    """Return a model of ``jamia`` at a low control rate, which makes the tests fast."""
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
@@ -73,14 +73,14 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> 
 
 
 def fastest_setpoint_fall(run: Bench, index: int = 0) -> float:
-    """Return the fastest decrease of a tendon's setpoint while the hand relaxes [N/s]."""
+    """Return how fast the set-point of a tendon falls at most while the hand relaxes [N/s]."""
     goals = [out.telemetry.tension_goal[index] for _, _, out in run.history if out.mode == Mode.RELAX]
     return float(-np.diff(goals).min() / run.controller.model.period)
 
 
 @pytest.mark.parametrize("late", [False, True])
 def test_over_tension_is_relaxed_four_times_as_fast(quick: HandModel, late: bool) -> None:
-    """The faster ramp starts in the tick in which a load cell reports the tension, also while the hand relaxes."""
+    """The faster ramp starts in the tick in which a load cell reads too much, even if the hand already relaxes."""
     run = acting(quick)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     run.run(0.5)
@@ -127,7 +127,10 @@ def test_after_a_fault_during_arming_no_further_drive_is_enabled(quick: HandMode
 
 @pytest.mark.parametrize("request_", [QUICK, MOVE])
 def test_a_run_with_its_own_goals_refuses_goals_of_clients(quick: HandModel, request_: str) -> None:
-    """A tare under tension would shift the readings of all later runs."""
+    """Goals of a client are refused while a hand is commissioned.
+
+    A tare under tension would shift readings of later runs.
+    """
     run = bench(quick, CommissionProgram())
     run.until(Mode.ACTIVE)
     run.run(0.05)

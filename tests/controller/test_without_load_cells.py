@@ -1,4 +1,7 @@
-"""Hands without load cells on some or all tendons: tension by motor, encoder and friction, against the simulator."""
+"""Test hands without load cells at some or all tendons.
+
+They estimate tension from motor, encoder and friction, and the simulator has the true tension.
+"""
 
 import os
 from dataclasses import dataclass, field
@@ -27,7 +30,10 @@ SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 @cache
 def without(*tendons: str) -> Hand:
-    """Return jamia without the load cells of some tendons, without a sensor node if no tendon is named."""
+    """Return jamia without the load cells of the named tendons.
+
+    If no tendon is named, it has no sensor node at all.
+    """
     content: dict[str, Any] = hand_content("jamia")
     if not tendons:
         del content["sensor_node"]
@@ -39,7 +45,7 @@ def without(*tendons: str) -> Hand:
 
 @cache
 def model_of(*tendons: str) -> HandModel:
-    """Return the model of ``without(*tendons)``."""
+    """Return the model of the hand that ``without(*tendons)`` returns."""
     return HandModel.of(without(*tendons), Gains(), RATE_HZ)
 
 
@@ -67,7 +73,11 @@ TASK = Task.model_validate(
 
 @dataclass
 class BlindRun:
-    """A row per tick: phase, estimate, its standard deviation and true tension (N,) [N]; and all events."""
+    """Record of a run without load cells, with a row for each tick.
+
+    A row has the phase, the estimated tension, its standard deviation and the true tension (N,)
+    [N]. The record also has all events and the last height of the object.
+    """
 
     phase: list[str] = field(default_factory=list)
     tension: list[np.ndarray] = field(default_factory=list)
@@ -77,7 +87,7 @@ class BlindRun:
     height: float = 0.0
 
     def error(self, *phases: str) -> np.ndarray:
-        """Return estimate minus truth over its standard deviation in some phases."""
+        """Return the errors of the estimate in some phases, divided by the standard deviation of the estimate."""
         rows = np.isin(self.phase, phases)
         return (np.array(self.tension)[rows] - np.array(self.true)[rows]) / np.array(self.sigma)[rows]
 
@@ -85,7 +95,10 @@ class BlindRun:
 def run_without_sensors(
     program: Program, scene: str | None, seed: int, *faults: str, limit_s: float = 30.0
 ) -> BlindRun:
-    """Run a program on a homed hand without sensors. The faults have their times."""
+    """Run a program on a hand without sensors whose motor zeros are known.
+
+    Injected faults contain their own times.
+    """
     rows = BlindRun()
     with Simulator(without(), scene, seed, homed=True).against(homed_controller(model_of(), program)) as run:
         run.record = False

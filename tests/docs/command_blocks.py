@@ -1,4 +1,4 @@
-"""Command blocks of the pages, and their execution in an empty folder."""
+"""Read the blocks of commands in pages of the documentation, and execute them in an empty folder."""
 
 import os
 import re
@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).parents[2]
 FENCE = re.compile(r"^( *)```(\w*)(?: title=\"([^\"]*)\")?\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 READY_S = 120.0
-"""Longest time for a process to print its first line, with compilation [s]."""
+"""Longest time until a process prints its first line [s], including compilation."""
 
 RUN_S = 600.0
-"""Longest time of a block of commands on a busy machine [s]."""
+"""Longest time that a block of commands may run on a busy machine [s]."""
 
 
 class Block(NamedTuple):
-    """A block of a page: language, title and text."""
+    """A fenced block of a page: its language, its title and its text."""
 
     language: str
     title: str
@@ -29,7 +29,7 @@ class Block(NamedTuple):
 
 
 def blocks(path: Path) -> list[Block]:
-    """Return the blocks of a page in order."""
+    """Return the fenced blocks of a page in order."""
     found = FENCE.finditer(path.read_text(encoding="utf-8"))
     return [
         Block(match[2], match[3] or "", re.sub(f"^{match[1]}", "", match[4], flags=re.MULTILINE)) for match in found
@@ -37,17 +37,17 @@ def blocks(path: Path) -> list[Block]:
 
 
 def is_run(block: Block) -> bool:
-    """Return True for commands that a test executes, and for files that it writes."""
+    """Return True for a block of commands that a test executes, and for a block that it writes to a file."""
     return (block.language == "sh" and "not run" not in block.title) or is_file(block)
 
 
 def is_file(block: Block) -> bool:
-    """Return True for a program or a TOML file, whose title is its name."""
+    """Return True for a block with a Python program or a TOML file. Its title is the name of the file."""
     return block.language in ("python", "toml") and bool(re.fullmatch(r"[\w-]+\.(py|toml)", block.title))
 
 
 def stays_open(block: Block) -> bool:
-    """Return True for a command that runs beside those after it."""
+    """Return True for a block whose command keeps running during the commands after it."""
     return "stays open" in block.title
 
 
@@ -92,7 +92,7 @@ def run_blocks(
 
 
 def start_beside(command: str, others: list["subprocess.Popen[str]"], words: dict[str, Any]) -> None:
-    """Start a command, and wait for its first line."""
+    """Start a command in a process, and wait until it prints its first line."""
     others.append(subprocess.Popen(["bash", "-c", f"exec {command.strip()}"], stdout=subprocess.PIPE, **words))
     stdout = others[-1].stdout
     assert stdout
@@ -100,5 +100,5 @@ def start_beside(command: str, others: list["subprocess.Popen[str]"], words: dic
 
 
 def on_the_embedded_bus(text: str) -> str:
-    """Return commands with the bus between processes in place of SocketCAN, which not every kernel has."""
+    """Return commands with a local bus in place of SocketCAN, because not every kernel has SocketCAN."""
     return re.sub(r"socketcan:(v?can\d)", r"local:\1", text)

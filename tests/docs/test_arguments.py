@@ -1,4 +1,7 @@
-"""Every command of the documents takes the arguments that it is given. Placeholders such as N stay unchecked."""
+"""Every command in the documents accepts the arguments with which it is written.
+
+Placeholders such as N are not checked.
+"""
 
 import re
 import shlex
@@ -15,7 +18,7 @@ FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 
 
 def commands(text: str) -> list[list[str]]:
-    """Return the words of the commands in a document, without those that a shell would change."""
+    """Return the words of each command in a document. Commands that a shell would change are left out."""
     lines = re.findall(r"`handctl ([^`\n]+)`", text)
     for block in FENCE.findall(text):
         lines += re.findall(r"^ *(?:sudo )?handctl ([^\n#;&|]+)$", block, re.MULTILINE)
@@ -30,7 +33,7 @@ def test_every_argument_is_known(path: Path) -> None:
 
 
 def refusal(words: list[str]) -> str:
-    """Return why a command is refused, empty for one that is not."""
+    """Return the error text with which a command is refused, or an empty text if it is accepted."""
     try:
         verb_parser(words[0]).parse_args(words[1:])
     except ConfigError as error:

@@ -1,6 +1,7 @@
-"""The command blocks of Start and Tutorials run as they stand, each page in a folder of its own.
+"""The command blocks of the pages in Start and Tutorials run as they are written. Each page runs in its own folder.
 
-A block with "not run" in its title needs hardware, root or a screen. A block that "stays open" runs beside the others.
+A block with "not run" in its title needs hardware, root rights or a screen. A block with "stays
+open" runs beside the blocks after it.
 """
 
 from collections.abc import Iterator
@@ -13,18 +14,18 @@ from tests.docs.command_blocks import ROOT, blocks, is_file, is_run, run_blocks,
 PAGES = sorted([*(ROOT / "docs" / "start").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])
 BLOCKS = {path.relative_to(ROOT / "docs").as_posix(): blocks(path) for path in PAGES}
 RUN = {page: [block for block in parts if is_run(block)] for page, parts in BLOCKS.items()}
-"""Blocks of each page that are executed, or written to the file that their title names."""
+"""Blocks of each page that a test executes, or writes to the file that their title names."""
 LONG = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
-"""Pages of the nightly run.
+"""Pages whose commands run only at night.
 
-Each page takes a minute, and has commands that other pages have as well.
+Each of these pages takes a minute, and its commands also occur in other pages.
 """
 
 
 def cases() -> Iterator[Any]:
-    """Yield the pages with commands.
+    """Yield the pages that contain commands, with their test markers.
 
-    Pages with a process in real time have the marker of such tests.
+    Pages with a process in real time have the marker of tests on the real clock.
     """
     for page, parts in RUN.items():
         if any(block.language == "sh" for block in parts):

@@ -1,4 +1,4 @@
-"""Figures contain the version of handctl, are used by a page, and are small enough."""
+"""Each figure contains the version of handctl, is shown on a page, and is small enough."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ MADE = sorted([f"{name}.{kind}" for name in (*DIAGRAMS, *PLOTS) for kind in ("sv
               + [path.name for path in FOLDER.glob("paper-*")])  # fmt: skip
 TEXTS = [path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))]
 MOST_BYTES = 700_000
-"""Largest size of a figure that is not animated."""
+"""Largest size of a figure that is not animated [bytes]."""
 
 
 @pytest.mark.parametrize("name", MADE)

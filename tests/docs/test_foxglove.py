@@ -1,4 +1,7 @@
-"""The layout for Foxglove names topics and fields of a log, and labels each value with its own name and unit."""
+"""The layout for Foxglove names only topics and fields that a log has.
+
+It labels each value with the value's name and unit.
+"""
 
 import json
 import re
@@ -14,11 +17,11 @@ LAYOUT = json.loads((ROOT / "docs" / "how-to" / "foxglove-layout.json").read_tex
 PANELS = LAYOUT["configById"]
 PATH = re.compile(r"(/[a-z_/]+)\.([a-z]+)(?:\[(\d+)\])?")
 KINDS = {"3D", "Plot", "RosOut", "StateTransitions"}
-"""Panels of Foxglove, named as in a layout that Foxglove exports."""
+"""Kinds of Foxglove panels, with their names in a layout that Foxglove exports."""
 
 
 def leaves(node: Any) -> list[str]:
-    """Return the panels of an arrangement."""
+    """Return the names of all panels in a part of the layout."""
     return [node] if isinstance(node, str) else [*leaves(node["first"]), *leaves(node["second"])]
 
 
@@ -34,12 +37,12 @@ def messages() -> dict[str, Any]:
 
 
 def paths() -> list[tuple[str, str]]:
-    """Return path and label of each value in the layout."""
+    """Return the path and the label of each value in the layout."""
     return [(path["value"], path["label"]) for panel in PANELS.values() for path in panel.get("paths", [])]
 
 
 def topics_of_layout() -> set[str]:
-    """Return the topics of all panels, except the transforms."""
+    """Return the topics that the panels show, except those of transforms."""
     scene = PANELS["3D!hand"]
     topics = {PATH.fullmatch(value)[1] for value, _ in paths()}  # type: ignore[index]
     return topics | {layer["topic"] for layer in scene["layers"].values()} | {PANELS["RosOut!events"]["topicToRender"]}

@@ -1,6 +1,9 @@
-"""The command blocks of README, How-to and the page of tasks run as well, beside a simulated hand where they need one.
+"""The command blocks of the README, of the How-to pages and of the page about tasks run as they are written.
 
-The pages use files and hands of the reader. A test replaces them by packaged files and hands.
+Blocks that need a hand run beside a simulated one.
+
+The pages use files and hands that belong to the reader. The tests replace them by packaged files
+and hands.
 """
 
 import re
@@ -17,7 +20,7 @@ from tests.docs.command_blocks import ROOT, Block, blocks, is_file, is_run, run_
 
 DOCS = ROOT / "docs"
 ELSEWHERE = {"how-to/lerobot.md": "tests/lerobot/test_environment.py"}
-"""Pages whose commands another test runs, because they need other packages."""
+"""Pages whose commands are run by another test, because the commands need other packages."""
 BLOCKS = {
     path.relative_to(DOCS).as_posix(): blocks(path)
     for path in (*sorted((DOCS / "how-to").glob("*.md")), DOCS / "reference" / "tasks.md")
@@ -25,7 +28,7 @@ BLOCKS = {
 }
 RUN = {page: [block for block in parts if is_run(block)] for page, parts in BLOCKS.items()}
 SHORT = ("how-to/logs.md", "how-to/other-tools.md")
-"""Pages of every run. The others take from ten seconds to minutes each, and are nightly."""
+"""Pages whose commands run by day. Each of the others takes from ten seconds to minutes and runs at night."""
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
 BESIDE = {
     "how-to/bring-up.md": ("handctl sim --hand mine.toml --bus local:can0",),
@@ -34,15 +37,15 @@ BESIDE = {
         "python -m firmware_sim drive odrive --ids 3 --bus local:can1",
     ),
 }
-"""Simulators that replace the hardware of a page."""
+"""Commands of simulators that replace the hardware of a page."""
 ANSWERED = {"how-to/drive-modes.md": ("handctl jog ", "handctl jog --yes ")}
-"""Commands that ask before they move, with the answer."""
+"""Commands that ask before they move a motor, and the commands with the answer that replace them."""
 STIFFER = "schema = 1\n\n[motion]\nforce_N = 16.0\n\n[tension]\nintegral_per_s = 4.0\n"
 LIVE = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 
 
 def prepare(golden: str, folder: Path) -> None:
-    """Write the files that belong to the reader: a log, a hand file, a task and gains."""
+    """Write files that would belong to the reader: a log, a hand file, a task and gains."""
     (folder / "logs").mkdir()
     for name in ("RUN.mcap", "run.mcap", "logs/RUN.mcap"):
         shutil.copy(ROOT / "logs" / "golden" / f"{golden}.mcap", folder / name)
@@ -52,12 +55,12 @@ def prepare(golden: str, folder: Path) -> None:
 
 
 def files_for(page: str) -> Callable[[Path], None]:
-    """Return the function that writes the files of a page. A run that ended has a fault in its log."""
+    """Return the function that writes the files of a page. The page about ended runs gets a log with a fault."""
     return partial(prepare, "jamia-fault" if page == "how-to/why-a-run-ended.md" else "jamia-grasp")
 
 
 def cases() -> Iterator[Any]:
-    """Yield the pages with commands."""
+    """Yield the pages that contain commands, with their test markers."""
     for page, parts in RUN.items():
         if any(block.language == "sh" and not stays_open(block) for block in parts):
             live = page in BESIDE or any(map(stays_open, parts))
@@ -93,7 +96,8 @@ def test_the_commands_of_the_readme_run() -> None:
     assert len(simulators) == 1
     assert len(lines) == 6
     commands = [Block("sh", "", line) for line in lines if line.strip() not in simulators]
-    # The README advises this for a slow machine, and a machine that also runs other tests is slow.
+    # The README advises a slower time on a slow machine. A machine that also runs other tests is
+    # slow.
     run_blocks(commands, partial(prepare, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"])
 
 

@@ -1,4 +1,4 @@
-"""Links within and between the documents lead somewhere, and every page has its place in the navigation."""
+"""Every link in the documents leads to an existing page and heading, and every page is in the navigation."""
 
 import re
 from fnmatch import fnmatch
@@ -36,7 +36,7 @@ def test_every_link_leads_somewhere(path: Path) -> None:
 
 
 def leaves(entry: Any) -> list[str]:
-    """Return the pages of a part of the navigation."""
+    """Return all pages in a part of the navigation."""
     if isinstance(entry, str):
         return [entry]
     values = entry.values() if isinstance(entry, dict) else entry
@@ -44,7 +44,7 @@ def leaves(entry: Any) -> list[str]:
 
 
 def titles(entry: Any) -> dict[str, str]:
-    """Return the title of each page that has one in a part of the navigation."""
+    """Return the titles of the pages in a part of the navigation. Pages without a title are left out."""
     if isinstance(entry, str):
         return {}
     if isinstance(entry, list):

@@ -1,7 +1,8 @@
-"""A reader finds the answers to frequent questions soon: few clicks, few words above the answer.
+"""A reader finds the answers to frequent questions soon, after few clicks and few words above the answer.
 
-Two minutes are 400 words at an easy pace. The words above an answer are counted from the place to which the last click
-leads. This number is an upper bound, because readers do not read the rows of a table in order.
+A reader takes two minutes for 400 words at an easy pace. The words above an answer are counted from
+the place to which the last click leads. Their number is an upper bound, because readers skip rows
+of a table.
 """
 
 import re
@@ -15,7 +16,10 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGE = DOCS / "evidence" / "lookups.md"
 MOST_CLICKS, MOST_WORDS, TOLERANCE_WORDS = 3, 400, 50
-"""Limits, and the difference between the page and the site that a small change of a text may make."""
+"""Limits of clicks and of words above an answer.
+
+The last number is how far the words on the evidence page may differ from those counted.
+"""
 QUESTIONS = {
     "How do I stop the hand?": ("index.md", "", r"press Ctrl-C, or run `handctl stop"),
     "How do I stop it when a program hangs?": ("how-to/stop.md", "a-program-hangs", r"`handctl stop --bus BUS`, or"),
@@ -27,11 +31,11 @@ QUESTIONS = {
     "How do I add a motor type?": ("how-to/adding-a-drive.md", "add-a-motor-type", r"\| Damiao \|"),
     "Why did my run end?": ("how-to/why-a-run-ended.md", "", r"\*\*The terminal\.\*\*"),
 }  # fmt: skip
-"""Page, anchor of a heading, and the beginning of the answer."""
+"""For each question: the page, the anchor of a heading, and the beginning of the answer."""
 
 
 def section(page: str, anchor: str) -> str:
-    """Return the text of a page from a heading on, or the whole page."""
+    """Return the text of a page from a heading on. Without an anchor, return the whole page."""
     text = (DOCS / page).read_text(encoding="utf-8")
     for match in re.finditer(r"^#+ (.*)$", text, re.MULTILINE):
         plain = re.sub(r"[^\w\s-]", "", match[1]).strip().lower()
@@ -42,7 +46,7 @@ def section(page: str, anchor: str) -> str:
 
 
 def words_above(page: str, anchor: str, answer: str) -> int:
-    """Return the number of words between the last click and the answer."""
+    """Return the number of words between the target of the last click and the answer."""
     text = section(page, anchor)
     match = re.search(answer, text)
     assert match, f"{page}: no {answer}"
@@ -50,7 +54,11 @@ def words_above(page: str, anchor: str, answer: str) -> int:
 
 
 def clicks(page: str, anchor: str) -> int:
-    """Return the clicks from the front page: link or tab and entry, and an entry of the table of contents."""
+    """Return the number of clicks from the front page to a heading.
+
+    The page takes a link, or a tab and an entry. The heading takes an entry of the table of
+    contents.
+    """
     if page == "index.md":
         return 0
     front = (DOCS / "index.md").read_text(encoding="utf-8")
@@ -60,7 +68,7 @@ def clicks(page: str, anchor: str) -> int:
 
 
 def leaves(entry: Any) -> list[str]:
-    """Return the pages of a part of the navigation."""
+    """Return all pages in a part of the navigation."""
     if isinstance(entry, str):
         return [entry]
     values = entry.values() if isinstance(entry, dict) else entry

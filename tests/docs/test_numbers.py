@@ -1,4 +1,4 @@
-"""The numbers of the demo in README and site are those that the command beside them prints."""
+"""The numbers of the demo in the README and on the site are those that the command next to them prints."""
 
 import json
 import re
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "docs" / "start" / "ten-minutes.md"]
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 TOLERANCE, ROUNDED = 0.1, 0.051
-"""Relative difference that another processor may make, and half of the last digit."""
+"""Permitted relative difference of numbers from another processor, and half of the last printed digit."""
 
 
 def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

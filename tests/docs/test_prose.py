@@ -1,4 +1,4 @@
-"""Paragraphs of the documents are short, and terms of the glossary are in order."""
+"""Paragraphs of the documents are short, and the terms of the glossary are in alphabetical order."""
 
 import re
 from pathlib import Path
@@ -8,13 +8,13 @@ import pytest
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", ROOT / "SECURITY.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SENTENCES = 5
-"""Largest number of sentences in a paragraph."""
+"""Largest number of sentences that a paragraph may have."""
 FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 NO_PROSE = ("|", "#", "<!--", "    ")
 
 
 def paragraphs(text: str) -> list[str]:
-    """Return the paragraphs of a document, each entry of a list as one, without code and tables."""
+    """Return the paragraphs of a document without code and tables. Each entry of a list is a paragraph."""
     unquoted = re.sub(r"^> ?", "", FENCE.sub("", text), flags=re.MULTILINE)
     blocks = re.split(r"\n\s*\n", unquoted)
     prose = [block for block in blocks if not block.lstrip("\n").startswith(NO_PROSE)]
@@ -35,14 +35,16 @@ def test_no_paragraph_is_long(path: Path) -> None:
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> None:
-    # With fewer, the site ends the list, and shows the marks of its next entries as text.
+    # With fewer than four spaces, the site ends the list. It then shows the marks of the next
+    # entries as text.
     text = FENCE.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"\n\n {1,3}\S.*", text) == []
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
-    # The site would begin an entry of a list with "126. The identifiers". Entries are numbered from 1.
+    # The site takes a line such as "126. The identifiers" for an entry of a list. Real entries are
+    # numbered from 1.
     text = FENCE.sub("", path.read_text(encoding="utf-8"))
     numbers = [int(number) for number in re.findall(r"^ *(\d+)\. ", text, re.MULTILINE)]
     assert [b for a, b in zip([0, *numbers], numbers, strict=False) if b not in (1, a + 1)] == []
@@ -50,7 +52,8 @@ def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_no_code_has_a_bar_behind_a_backslash(path: Path) -> None:
-    # The site shows the backslash. `<code>A&#124;B</code>` is right on the site and on GitHub.
+    # The site would show the backslash. `<code>A&#124;B</code>` is shown correctly on the site and
+    # on GitHub.
     text = FENCE.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"`[^`\n]*\\\|[^`\n]*`", text) == []
 

@@ -1,4 +1,4 @@
-"""The site is built without the network, a warning is an error, and no page fetches from elsewhere."""
+"""The site builds without network access and without warnings. Its pages load nothing from other servers."""
 
 import os
 import re
@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 FETCHED = re.compile(r"<(?:script|img|iframe)[^>]*src=\"https?:[^\"]+|<link[^>]*rel=\"stylesheet\"[^>]*https?:[^\"]+")
-"""Elements that a browser would fetch from another host."""
+"""Elements of a page whose content a browser would load from another server."""
 
 
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
@@ -21,6 +21,6 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     assert len(made) == len(list((ROOT / "docs").rglob("*.md"))) + 1  # the error page 404.html is added
     texts = [page.read_text(encoding="utf-8") for page in made]
     assert [match[0] for text in texts for match in FETCHED.finditer(text)] == []
-    # A list that its source does not end properly runs into the paragraph before it.
+    # A list without an empty line before it becomes a part of the paragraph above it.
     paragraphs = [part for text in texts for part in re.findall(r"<p>(.*?)</p>", text, re.DOTALL)]
     assert [part[-200:] for part in paragraphs if re.search(r"^(- |\d+\. |\|)", part, re.MULTILINE)] == []

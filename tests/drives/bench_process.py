@@ -1,4 +1,4 @@
-"""``python -m firmware_sim drive`` as a separate process."""
+"""Run simulated drives with ``python -m firmware_sim drive`` as a separate process."""
 
 import select
 import signal
@@ -15,8 +15,8 @@ def drives(bus: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
     """Run simulated drives on a bus until the block ends, and check their exit code.
 
     Args:
-        bus: specification.
-        words: protocol and options.
+        bus: specification of the bus on the command line.
+        words: protocol and options of the drives on the command line.
     """
     command = [sys.executable, "-m", "firmware_sim", "drive", *words, "--bus", bus]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

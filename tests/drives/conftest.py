@@ -1,4 +1,4 @@
-"""A drive with a scripted motor, run tick by tick as in the controller."""
+"""Fixtures with a drive and a scripted motor. The drive runs tick by tick as in the controller."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,7 @@ PERIOD_NS = 2_000_000
 
 @dataclass(frozen=True)
 class Section:
-    """A ``[[motor]]`` section of a hand file."""
+    """Content of a ``[[motor]]`` section of a hand file."""
 
     name: str = "index_motor"
     protocol: str = "mit"
@@ -32,7 +32,7 @@ class Section:
 
 @dataclass
 class MotorRig:
-    """A drive, its state and the motor. Each tick advances time by one period."""
+    """A drive, its state, and the motor that it controls. Each tick advances time by one period."""
 
     drive: MitDrive
     motor: ScriptedMotor
@@ -42,7 +42,10 @@ class MotorRig:
     pending: list[Frame] = field(default_factory=list)
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> DriveState:
-        """Receive the replies, advance the drive, and let the motor reply for the next tick."""
+        """Let the drive receive the motor's replies and advance by a tick.
+
+        The motor then replies for the next tick.
+        """
         for frame in self.pending:
             self.state = self.drive.receive(self.state, frame)
         self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
@@ -52,7 +55,7 @@ class MotorRig:
         return self.state
 
     def until(self, target: DriveTarget, *phases: Phase, ticks: int = 300) -> DriveState:
-        """Run ticks until the drive is in one of the phases."""
+        """Run ticks until the drive is in one of the given phases, or fail."""
         for _ in range(ticks):
             if self.tick(target).phase in phases:
                 return self.state

@@ -1,7 +1,7 @@
-"""Typical use of clients from other projects, with ``python -m firmware_sim drive`` on any bus.
+"""Typical use of motor clients from other projects. They command ``python -m firmware_sim drive`` on any bus.
 
-Each function arms a drive, lets it make a torque, sees the free shaft turn, and lets go. The clients wait for answers
-with limits of their own (0.4 s to 1 s); ours are longer.
+Each function enables a drive, lets it make a torque, checks that its free shaft turns, and disables
+it. The clients wait for replies for 0.4 s to 1 s. The functions here wait longer.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ def wait_for(condition: Callable[[], bool], what: str) -> None:
 
 
 def use_damiao_motor(interface: str, channel: str, node: int = 2) -> None:
-    """damiao-motor: registers, enable, torque, position by the motor's own gains, watchdog, disable."""
+    """Use damiao-motor: read registers, enable, command a torque, hold a position by the motor's gains, and disable."""
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
         motor = controller.add_motor(motor_id=node, feedback_id=node + 0x10, motor_type="4310")
@@ -58,7 +58,7 @@ def _motor_states(motor: object) -> dict[str, float]:
 
 
 def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
-    """damiao-motor: velocity, position-velocity and force-position mode, changed while the motor is enabled."""
+    """Use damiao-motor: change between velocity, position-velocity and force-position mode of an enabled motor."""
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
         motor = controller.add_motor(motor_id=node, feedback_id=node + 0x10, motor_type="4310")
@@ -86,12 +86,16 @@ def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
 
 
 def use_odrive_can(bus: can.BusABC, node: int = 1) -> None:
-    """odrive-can: heartbeat, closed loop, torque, position, estop shown as an error, clear, idle."""
+    """Use odrive-can: closed loop, a torque, a position, an emergency stop that is reported as an error, and clear."""
     asyncio.run(_odrive(bus, node))
 
 
 async def _odrive(bus: can.BusABC, node: int) -> None:
-    """Positions come by the cyclic message: asking for that one by a remote frame can block the client for good."""
+    """Use odrive-can in its event loop.
+
+    Positions come by the cyclic message. A request for it by a remote frame can block the client
+    forever.
+    """
     drive = ODriveCAN(axis_id=node, can_bus=bus)
     seen = [0.0]
     drive.feedback_callback = lambda message, _: seen.append(message.data["Pos_Estimate"])
@@ -114,7 +118,7 @@ async def _odrive(bus: can.BusABC, node: int) -> None:
 
 
 def use_odrive_can_modes(bus: can.BusABC, node: int = 1) -> None:
-    """Command a velocity, then a trapezoidal trajectory with the limits of the client odrive-can."""
+    """Use odrive-can: command a velocity, then a trapezoidal trajectory with limits from the client."""
     asyncio.run(_odrive_modes(bus, node))
 
 
@@ -141,7 +145,10 @@ async def _odrive_modes(bus: can.BusABC, node: int) -> None:
 
 
 async def _set(drive: ODriveCAN, mode: str, state: str, input_mode: str = "PASSTHROUGH") -> None:
-    """Idle, a control mode, and another state; the client's own waiting gives up after a second."""
+    """Set the drive to idle, set a control mode, and set another state.
+
+    The client's own wait functions give up after a second and are not used.
+    """
     drive.set_axis_state_no_wait("IDLE")
     await _for(lambda: drive.axis_state == "IDLE", "idle")
     drive.set_controller_mode(mode, input_mode)
@@ -176,12 +183,12 @@ def _network(interface: str, channel: str) -> Iterator[canopen.Network]:
 
 
 def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
-    """Enable a drive with canopen's BaseNode402 and the shipped EDS, run CST by PDO at SYNC, and disable."""
+    """Use canopen: enable a drive with BaseNode402 and the packaged EDS file, command torques by PDO, and disable."""
     with _network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)
         node.nmt.state = "RESET COMMUNICATION"
-        wait_for(lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up")  # wait_for_bootup misses a quick boot-up
+        wait_for(lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up")  # wait_for_bootup may miss a quick message
         assert node.sdo[0x1018][1].raw == node.object_dictionary[0x1018][1].default
         node.setup_402_state_machine()
         node.tpdo[1].trans_type = 1
@@ -198,7 +205,7 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
 
 
 def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
-    """Home a drive with BaseNode402, then profile position and cyclic velocity by its mode names."""
+    """Use canopen: home a drive with BaseNode402, then select profile position and cyclic velocity by their names."""
     with _network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)
@@ -214,7 +221,7 @@ def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
         assert abs(node.sdo["Position actual value"].raw - 1000) < 10
         node.op_mode = "PROFILED POSITION"
         assert node.op_mode == "PROFILED POSITION"
-        node.controlword = 0x0F  # homing left bit 4 set
+        node.controlword = 0x0F  # homing has left bit 4 of the control word set
         node.state = "OPERATION ENABLED"
         node.sdo["Target position"].raw = 30_000
         wait_for(lambda: node.statusword & 1 << 12 == 0, "a status word of this mode")

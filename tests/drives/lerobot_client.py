@@ -1,4 +1,7 @@
-"""LeRobot's bus of RobStride motors, against ``python -m firmware_sim drive robstride_mit`` on any bus."""
+"""Use of LeRobot's bus class for RobStride motors.
+
+It commands ``python -m firmware_sim drive robstride_mit`` on any bus.
+"""
 
 import time
 from collections.abc import Callable
@@ -8,12 +11,15 @@ from lerobot.motors import Motor, MotorNormMode
 from lerobot.motors.robstride import RobstrideMotorsBus
 
 ANSWER_S = 0.5
-"""Time for an answer. The client waits 1 ms, less than a process needs on a busy machine."""
+"""Time that the client waits for a reply [s].
+
+Its own limit of 1 ms is less than a process needs on a busy machine.
+"""
 WAIT_S = 20.0
 
 
 def use_lerobot_robstride(interface: str, channel: str, patch: pytest.MonkeyPatch, nodes: tuple[int, ...]) -> None:
-    """Connect, enable, turn by a torque, hold a position, read all motors, disable."""
+    """Use LeRobot: connect, enable, turn a motor by a torque, hold a position, disable, and read all motors."""
     patch.setattr(RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, ANSWER_S))
     patch.setattr(RobstrideMotorsBus._recv_status_via_clear_fault, "__defaults__", (None, ANSWER_S))
     motors = {f"m{node}": _motor(node) for node in nodes}

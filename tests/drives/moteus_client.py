@@ -1,4 +1,7 @@
-"""The vendor's Python client of moteus controllers, against ``python -m firmware_sim drive moteus`` on any bus."""
+"""Use of the vendor's Python client for moteus controllers.
+
+It commands ``python -m firmware_sim drive moteus`` on any bus.
+"""
 
 import asyncio
 import math
@@ -15,7 +18,7 @@ RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
 
 
 def use_moteus(interface: str, channel: str, node: int = 2) -> None:
-    """Use moteus: query in every type, configuration, torque, position by the drive's gains, watchdog, stop."""
+    """Use moteus: queries in every type, configuration, a torque, a position by the drive's gains, and stop."""
     asyncio.run(asyncio.wait_for(_use(interface, channel, node), WAIT_S))
 
 

@@ -1,4 +1,4 @@
-"""Independent model of a motor from its manual: bytes in, bytes out, with faults on request."""
+"""Independent model of a motor, written from its manual. It takes and returns bytes, and can have faults."""
 
 import struct
 from dataclasses import dataclass, field
@@ -11,13 +11,13 @@ INTEGERS = {9: 0, 10: 1, 15: 0x1234}
 
 @dataclass
 class ScriptedMotor:
-    """A motor with state, raw codes of position, velocity and torque, registers by number, and faults to inject.
+    """A motor with a state, codes of position, velocity and torque, registers by number, and faults that a test sets.
 
     Attributes:
-        mute: registers that are not answered.
-        stuck: registers that keep their value when written.
-        deaf: special commands that have no effect.
-        silent: nothing is answered.
+        mute: registers about which the motor sends no reply.
+        stuck: registers that keep their value when they are written.
+        deaf: codes of special commands that have no effect.
+        silent: whether the motor sends no replies at all.
     """
 
     node_id: int = 1
@@ -34,7 +34,7 @@ class ScriptedMotor:
     written: list[int] = field(default_factory=list)
 
     def answer(self, frame: Frame, t_ns: int) -> list[Frame]:
-        """Return the reply to a frame of the host, or None."""
+        """Return the reply to a frame of the host in a list. The list is empty if the motor sends no reply."""
         data = self._data(frame)
         if data is None or self.silent:
             return []
@@ -74,7 +74,7 @@ class ScriptedMotor:
         return data[:4] + struct.pack(layout, self.registers[register])
 
     def feedback(self) -> bytes:
-        """Return 8 bytes, packed bit by bit from the table of the manual."""
+        """Return the 8 bytes of a feedback frame, packed bit by bit from the table of the manual."""
         position, velocity, torque = (
             format(code, f"0{bits}b") for code, bits in zip(self.codes, (16, 12, 12), strict=True)
         )

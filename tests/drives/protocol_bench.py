@@ -1,4 +1,4 @@
-"""A hand file with any protocol, and its drives tick by tick with the simulated firmware."""
+"""Make hand files with any drive protocol, and run their drives tick by tick with the simulated firmware."""
 
 import json
 import re
@@ -24,16 +24,16 @@ OPTIONS = {
     else ""
     for name, traits in PROTOCOLS.items()
 }
-"""Options of a motor in each protocol as a section of the hand file."""
+"""Options that a motor needs in each protocol, as text of a section of the hand file."""
 
 
 def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
-    """Return the packaged hand with the protocols of the motors replaced in order.
+    """Write the file of the packaged hand with other drive protocols, and return its path.
 
     Args:
-        folder: to write into.
-        protocols: of each motor; the last one for the rest.
-        extra: more options of every motor.
+        folder: folder of the new file.
+        protocols: protocol of each motor in order. The last one is also that of all further motors.
+        extra: text of further options of every motor.
     """
     head, *motors = load_hand("jamia").to_toml().split("[[motor]]")
     for i, text in enumerate(motors):
@@ -53,7 +53,7 @@ SECOND = '[[bus]]\nname = "second"\nbitrate = 1000000\n\n[sensor_node]'
 
 
 def on_two_buses(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
-    """Return the same file with some motors on a second bus, without the load cells."""
+    """Move some motors of a hand file to a second bus, and return the path. The second bus has no load cells."""
     head, *sections = path.read_text().replace("[sensor_node]", SECOND).split("[[motor]]")
     for i in motors:
         sections[i] = sections[i].replace('bus = "main"', 'bus = "second"')
@@ -62,7 +62,7 @@ def on_two_buses(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
 
 
 class Bench:
-    """All drives and the sensor node of a hand, ticked together against the simulator."""
+    """All drives and the sensor node of a hand, run together tick by tick against the simulator."""
 
     def __init__(self, path: Path, wire: Sequence[str] | None = None, period_ns: int = PERIOD_NS) -> None:
         """Start the simulator and the drives of a hand file."""
@@ -80,7 +80,7 @@ class Bench:
         self.k = 0
 
     def tick(self, target: DriveTarget, torque: float = 0.0, extra: Sequence[Frame] = ()) -> None:
-        """Receive the frames of the last tick, advance all drives, and let the simulator answer."""
+        """Receive the frames of the last tick, advance all drives by a tick, and let the simulator reply."""
         for frame in self.incoming:
             self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
         outgoing = [self.node.sync(self.k), *extra]
@@ -92,7 +92,7 @@ class Bench:
         self.k += 1
 
     def until(self, target: DriveTarget, phase: Phase, ticks: int = 400) -> None:
-        """Tick until all drives are in a phase, or fail."""
+        """Run ticks until all drives are in a phase, or fail."""
         for _ in range(ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):
@@ -100,7 +100,7 @@ class Bench:
         pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
 
     def clear(self) -> None:
-        """Clear the errors of all drives, as an operator's request does."""
+        """Clear the errors of all drives, as a request of the operator does."""
         frames: list[Frame] = []
         for i, drive in enumerate(self.drives):
             self.states[i], more = drive.clear(self.states[i])
@@ -109,7 +109,7 @@ class Bench:
 
 
 def motor_on_bench(protocol: str, node: int, torque: float, options: dict[str, object], **changes: object) -> Motor:
-    """Return the section of a motor alone on a bench, with the ranges of a Damiao motor."""
+    """Return the hand-file section of a motor that is alone on a bus. It has the ranges of a Damiao motor."""
     return Motor.model_validate(
         {
             "name": "m", "protocol": protocol, "bus": "bench", "node_id": node, "spool_radius_m": 0.005,

@@ -1,4 +1,7 @@
-"""Drives and sensor node of the packaged hand against the simulated firmware, which shares no code with them."""
+"""Test the drives and the sensor node of the packaged hand against simulated firmware.
+
+The firmware shares no code with them.
+"""
 
 from collections.abc import Iterator
 
@@ -17,7 +20,7 @@ HAND = load_hand("jamia")
 
 
 class Bench:
-    """All drives and the sensor node of a hand, ticked together against the simulator."""
+    """All drives and the sensor node of a hand, run together tick by tick against the simulator."""
 
     def __init__(self) -> None:
         """Start the simulator and the drives of the packaged hand."""
@@ -31,7 +34,7 @@ class Bench:
         self.k = 0
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
-        """Receive the frames of the last tick, advance all drives, and let the simulator answer."""
+        """Receive the frames of the last tick, advance all drives by a tick, and let the simulator reply."""
         self.sensors.receive(frame for frame in self.incoming if frame.can_id in self.node.node_ids)
         self.tensions = self.sensors.tensions
         for frame in self.incoming:
@@ -44,7 +47,7 @@ class Bench:
         self.k += 1
 
     def until(self, target: DriveTarget, phase: Phase, ticks: int = 200) -> None:
-        """Tick until all drives are in a phase, or fail."""
+        """Run ticks until all drives are in a phase, or fail."""
         for _ in range(ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):
@@ -78,7 +81,7 @@ def test_a_drive_goes_from_silent_to_enabled_and_back(bench: Bench) -> None:
 
 def test_the_watchdog_fires_on_silence_and_clear_makes_the_drive_ready(bench: Bench) -> None:
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
-    for _ in range(40):  # 80 ms, and the watchdog is set to 50 ms
+    for _ in range(40):  # 80 ms, longer than the watchdog's 50 ms
         bench.tick(DriveTarget.LISTEN)
     bench.until(DriveTarget.ENABLE, Phase.FAULT, ticks=3)
     assert {state.error_text for state in bench.states} == {"communication lost: the drive's watchdog fired"}

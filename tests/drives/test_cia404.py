@@ -1,4 +1,4 @@
-"""CiA 404 amplifiers: frames, set-up with read-back, and the faults of a hand that measures tension with them."""
+"""Test load-cell amplifiers that follow CiA 404: their frames, their set-up, and the faults of a hand with them."""
 
 import math
 import struct
@@ -28,14 +28,14 @@ from tests.drives.wired import Wired
 TENDONS = ("a", "b", "c")
 PERIOD_NS = 2_000_000
 ANSWER_NS = 300_000
-"""Arrival of an answer after the tick [ns]."""
+"""Time from the start of a tick to the arrival of a reply [ns]."""
 KEYS: dict[str, Any] = {"protocol": "cia404", "node_ids": [0x21, 0x22], "channels_per_node": 2, "range_N": 300.0}
 OWN_KEYS = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
 
 
 @dataclass(frozen=True)
 class Section:
-    """Section of a hand file: three load cells on two amplifiers."""
+    """Section of a hand file for three load cells on two amplifiers."""
 
     sync_id: int = 0x080
     tendons: tuple[str, ...] = TENDONS
@@ -53,7 +53,7 @@ def with_amplifiers(name: str = "jamia", **changed: Any) -> Hand:
     return hand_from_content({**content, "sensor_node": {**node, **KEYS, **changed}}, name)
 
 
-# Frames.
+# Frames of an amplifier.
 
 
 def test_hand_made_frames_become_newtons() -> None:
@@ -61,7 +61,8 @@ def test_hand_made_frames_become_newtons() -> None:
     assert cells.ids == (0x1A1, 0x1A2)
     wired = Wired((), cells)
     assert wired.sync(7) == Frame(0x080, b"")
-    # 12.345 N and -0.500 N on the first amplifier, 299.999 N on the second: counts of 0.001 N, lowest byte first.
+    # The first amplifier measures 12.345 N and -0.500 N, the second 299.999 N. A count is 0.001 N,
+    # and the lowest byte is first.
     first, second = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
     wired.receive([Frame(0x1A1, first, t_ns=ANSWER_NS), Frame(0x1A2, second, t_ns=ANSWER_NS)])
     assert wired.tensions == pytest.approx({0: 12.345, 1: -0.5, 2: 299.999}, abs=1e-9)
@@ -117,11 +118,11 @@ def test_the_dbc_decodes_the_same_tensions(value: str, raw: bytes) -> None:
     assert decoded == pytest.approx({"index_tendon": 1.5, "middle_tendon": -2e-3})
 
 
-# Set-up.
+# Set-up of the amplifiers.
 
 
 class Bench:
-    """The amplifiers of a hand against the simulator, without drives."""
+    """The amplifiers of a hand, run against the simulator without the drives."""
 
     def __init__(self, hand: Hand, path: str) -> None:
         """Start the simulator of a hand file."""
@@ -151,7 +152,7 @@ class Bench:
         self.k += 1
 
     def until(self, phase: Phase, ticks: int = 400) -> None:
-        """Run ticks until all amplifiers are in a phase."""
+        """Run ticks until all amplifiers are in a phase, or fail."""
         for _ in range(ticks):
             self.tick()
             if all(state.phase == phase for state in self.states):
@@ -167,7 +168,7 @@ def bench(tmp_path: Any) -> Iterator[Bench]:
 
 
 def make_bench(folder: Any, **changed: Any) -> Bench:
-    """Return a bench of the hand with some keys changed."""
+    """Return a bench of a hand whose sensor section has some keys changed."""
     hand = with_amplifiers(**changed)
     path = folder / "hand.toml"
     path.write_text(hand.to_toml())
@@ -206,7 +207,7 @@ def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: Bench) -> None:
 
 
 def ignores_unit(node: Any) -> None:
-    """Confirm each write of the unit, but keep the old unit."""
+    """Let an amplifier confirm each write of its unit, but keep the old unit."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x6131, 2) else write(key, raw)
 
@@ -216,7 +217,7 @@ def is_a_drive(node: Any) -> None:
 
 
 def without_synchronous_type(node: Any) -> None:
-    """Refuse the synchronous transmission type."""
+    """Let an amplifier keep its transmission type, so that it is not set to synchronous."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x1800, 2) else write(key, raw)
 
@@ -248,7 +249,10 @@ def test_a_missing_amplifier_is_named() -> None:
 
 
 def test_frames_before_the_set_up_are_not_used() -> None:
-    """An amplifier still runs from an earlier session in its default unit, with 100 times the tension."""
+    """The amplifiers still run from an earlier session in their default unit.
+
+    Their readings are 100 times the tension.
+    """
     with homed_run(with_amplifiers(), 500.0, 0) as simulation:
         for node in nodes_of(simulation):
             node.receive(WireFrame(0x000, bytes((0x01, 0x00))), 0)
@@ -273,7 +277,7 @@ def test_a_restart_needs_the_set_up_again_and_not_while_torque_may_act(bench: Be
     bench.until(Phase.READY)
 
 
-# Faults.
+# Faults of the amplifiers.
 
 
 def nodes_of(simulation: Simulation) -> list[Any]:
@@ -282,7 +286,7 @@ def nodes_of(simulation: Simulation) -> list[Any]:
 
 
 def faults_of(hand: Hand, seed: int, start: Callable[[Simulation], None], ticks: int = 60) -> tuple[set[str], int]:
-    """Return the faults that follow a disturbance in a grasp, and the ticks to the first reaction."""
+    """Return the faults that follow a disturbance of a grasp, and the tick in which the controller first reacts."""
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to(simulation, GRASP)
         start(simulation)
@@ -329,11 +333,14 @@ def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(name: str) -> None:
 def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
     found, ticks = faults_of(with_amplifiers(), 0, restart_all)
     assert "N02" in found
-    assert 0 <= ticks <= 17  # 30 ms of silence
+    assert 0 <= ticks <= 17  # silence of 30 ms is a fault
 
 
 def test_late_answers_are_delays_and_no_second_node() -> None:
-    """Without a counter, a late reply and the next one look like a duplicate with other bytes (B06, RELAX)."""
+    """Frames of an amplifier have no counter.
+
+    Regression: a late reply and the next one were taken for a second node (B06).
+    """
     found, ticks = faults_of(with_amplifiers(), 0, inject("delay node=sensors size=2.5 p=0.05"))
     assert (found, ticks) == ({"B04"}, -1)
 
@@ -359,7 +366,7 @@ def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
             assert simulation.state.latched == ()
 
 
-# The hand file.
+# Hand files with amplifiers.
 
 MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     "no range": ({"range_N": None}, "sensor_node.range_N: missing"),

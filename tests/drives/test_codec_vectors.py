@@ -1,4 +1,4 @@
-"""Payloads byte by byte from the documents of CiA 301/402 and of ODrive's CANSimple."""
+"""Compare payloads byte by byte with the documents of CiA 301, of CiA 402 and of ODrive's CANSimple protocol."""
 
 import math
 import struct
@@ -17,7 +17,7 @@ STATUS = {
 
 
 def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
-    """Position is in counts, and torque in thousandths of the rated torque."""
+    """The position of a TPDO is in counts, its torque in thousandths of the rated torque."""
     message = cia402.feedback_message(5, 1, 1.0, 1.0, 0.0)
     table = Table(message._replace(signals=tuple(signal._replace(scale=1.0) for signal in message.signals)))
     assert table.unpack(bytes.fromhex("3706 feffffff 18fc")) == [0x7, 0x1, -2, -1000]

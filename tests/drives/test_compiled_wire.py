@@ -1,4 +1,7 @@
-"""Compiled receive and send compared with those of each drive: equal values and equal frames for any input."""
+"""Compare the compiled code that receives and sends frames with the Python code of each drive.
+
+For any input, both give equal values and equal frames.
+"""
 
 import math
 import random
@@ -30,7 +33,7 @@ NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
 @cache
 def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
-    """Return an enabled drive, its state, the time [ns], and its frames of a few ticks."""
+    """Return an enabled drive, its state, the time [ns], and frames that it has sent in some ticks."""
     variant = VARIANTS[name]
     with TemporaryDirectory() as folder:
         path = hand_file(Path(folder), [variant.protocol], variant.options)
@@ -49,7 +52,7 @@ def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
 
 
 def some_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Frame:
-    """Return one frame of a drive, equal or changed in one way."""
+    """Return one of a drive's frames, unchanged or changed in one random way."""
     frame = chance.choice(heard)._replace(t_ns=t_ns)
     data, way = bytearray(frame.data), chance.randrange(12)
     if way == 0:
@@ -74,7 +77,10 @@ def some_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Fr
 
 
 def are_states_equal(one: DriveState, other: DriveState, drive: Drive) -> bool:
-    """Return True if two states are equal. The heartbeat of a CiA 402 drive may be in its feedback time."""
+    """Return True if two states of a drive are equal.
+
+    The time of a CiA 402 drive's last heartbeat may be stored in the time of its feedback.
+    """
     if isinstance(drive, Cia402Drive):
         one, other = (
             state._replace(
@@ -120,7 +126,7 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
 
 
 def enabled_now(state: DriveState, t_ns: int) -> DriveState:
-    """Return the state of an enabled drive as if it had been enabled now."""
+    """Return the state of an enabled drive with its times changed, as if it had been enabled at ``t_ns``."""
     private = state.private
     clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
     times = {name: t_ns for name in clocks if name in private._fields}
@@ -158,7 +164,10 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
-    """Compare commands and replies. A drive may also read a table of unsolicited or rare messages."""
+    """The cyclic commands and replies of a drive are those for which the bus load is planned.
+
+    A drive may also read a table of unsolicited or rare messages.
+    """
     drive, _, _, _ = enable_drive(name)
     command_layouts = sorted((message.length, bool(message.flags)) for message in drive.cyclic.commands)
     asked = len(drive.cyclic.commands) - 1 if isinstance(drive, OdriveDrive) else 1

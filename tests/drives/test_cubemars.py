@@ -1,4 +1,7 @@
-"""CubeMars motors in MIT mode with their simulated firmware, and TMotorCANControl's payloads compared with both."""
+"""Test CubeMars motors in MIT mode with their simulated firmware.
+
+Payloads of both are compared with those of TMotorCANControl.
+"""
 
 import math
 from collections.abc import Iterator
@@ -94,14 +97,17 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(bench: Bench, error: Error
 
 
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
-    """An AK80-9 obeys 18 N m, so only the host limits its torque to the limit of the hand."""
+    """An AK80-9 motor obeys commands up to 18 N m. Only the host limits its torque to the limit of the hand."""
     protections = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections)
     for guard in ("watchdog", "no torque limit", "2% of full-scale torque", "ranges cannot be read back"):
         assert guard in protections
 
 
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
-    """CubeMars AK Series Actuator Driver Manual, 5.3: -40 to 215. Some motors send the value without an offset."""
+    """The byte of a temperature covers -40 to 215 degC. Source: CubeMars AK Series Actuator Driver Manual, 5.3.
+
+    Some motors send the temperature without this offset.
+    """
     for more, temperature in (({}, 45.0), ({"temperature_offset_C": 0}, 85.0), ({"temperature_offset_C": -40.0}, 45.0)):
         drive = make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more), 0)
         state = drive.receive(drive.initial(), Frame(1, bytes((1, 0x80, 0, 0x80, 8, 0, 85, 0))))
@@ -172,7 +178,7 @@ def test_options_that_make_no_motor_are_refused(options: dict[str, object], said
 
 
 def test_tmotorcancontrol_decodes_the_same_values() -> None:
-    """Decode commands of this host and replies of the simulated motor with TMotorCANControl."""
+    """TMotorCANControl decodes the same values from commands of handctl and from replies of the simulated motor."""
     mit_can = pytest.importorskip("TMotorCANControl.mit_can")
     manager = object.__new__(mit_can.CAN_Manager)
     mit_can.CAN_Manager.__del__ = lambda self: None

@@ -1,4 +1,4 @@
-"""The DBC file of a hand's buses: cantools decodes the same values as the controller."""
+"""Test the DBC file of a hand's buses. With this file, cantools decodes the same values as the controller."""
 
 import math
 from collections import Counter
@@ -50,7 +50,10 @@ def read(wired: Wired, message: Message, i: int) -> dict[str, float]:
 
 
 def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
-    """Use frames of a lockstep run with the simulated firmware: feedback, commands, load cells, joint encoders."""
+    """The frames come from a lockstep run with the simulated firmware.
+
+    They are commands and feedback of drives, and readings of load cells and joint encoders.
+    """
     dbc, hand = database(bench.hand), bench.hand
     bench.until(DriveTarget.POLL, Phase.READY)
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
@@ -64,7 +67,7 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
         bench.tick(DriveTarget.ENABLE, torque)
         for frame in bench.incoming:
             wired.receive([frame])
-            # A reply to a request has the feedback's identifier, and another length.
+            # A reply to a register request has the identifier of the feedback, but another length.
             if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
                 decoded = dbc.decode_message(frame.can_id, frame.data)
                 for name, value in read(wired, owners[frame.can_id][1], owners[frame.can_id][0]).items():
@@ -83,12 +86,13 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
 
 
 def is_torque_command(dbc: Database, frame: Frame, bench: Bench, torque: float) -> bool:
-    """Return True for a command with a torque. Check that it is the sent torque within one count."""
+    """Return True if a frame is a command with a torque. Check that its torque is that sent, within one count."""
     for drive in bench.drives:
         for message in drive.cyclic.commands:
             signals = [signal for signal in message.signals if signal.quantity == Quantity.TORQUE]
             same = message.can_id == frame.can_id and message.length == len(frame.data)
-            # A write of settings may have identifier and length of a command, but not its first bytes.
+            # A write of a setting may have the identifier and length of a torque command, but other
+            # first bytes.
             first = min((signal.start for signal in message.signals), default=0) // 8
             big = any(signal.big_endian for signal in message.signals)
             same = same and (big or frame.data[:first] == message.base[:first])

@@ -1,4 +1,4 @@
-"""Random data of every identifier and length for every decoder, and random numbers for every encoder."""
+"""Give every decoder frames with random data of every identifier and length, and every encoder random numbers."""
 
 import functools
 import math
@@ -21,7 +21,7 @@ from tests.drives.wired import Wired
 LIMIT = 0.8
 STANDARD_IDS, LENGTHS = range(0x800), range(65)
 RANDOM_IDS = 200
-"""Random 29-bit identifiers for each bench."""
+"""Number of random 29-bit identifiers that each protocol is tested with."""
 
 
 @pytest.fixture(params=sorted(PROTOCOLS), scope="module")
@@ -34,7 +34,7 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def extended_ids(bench: Bench, chance: random.Random) -> set[int]:
-    """Return 29-bit identifiers: random ones, some of drive and host, and each of these with one bit changed."""
+    """Return 29-bit identifiers: random ones, some of a drive and its host, and each of these with one bit changed."""
     ours = sorted(one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED)
     near = chance.sample(ours, min(len(ours), 4))
     changed = {one ^ 1 << bit for one in near for bit in range(29)}
@@ -42,7 +42,10 @@ def extended_ids(bench: Bench, chance: random.Random) -> set[int]:
 
 
 def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:
-    """Yield all 11-bit and many 29-bit identifiers with each length, classical if possible, otherwise FD."""
+    """Yield frames of each length with all 11-bit and many 29-bit identifiers.
+
+    Frames of more than 8 bytes are CAN FD.
+    """
     chance = random.Random(seed)
     for can_id in [*STANDARD_IDS, *sorted(extended_ids(bench, chance))]:
         data = chance.randbytes(64)
@@ -51,7 +54,7 @@ def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:
 
 
 def states_of(bench: Bench) -> list[DriveState]:
-    """Return a silent, a ready and an enabled state. The enabled state comes from the bench."""
+    """Return a silent, a ready and an enabled state of the first drive. The enabled state comes from the bench."""
     ready = bench.states[0]._replace(phase=Phase.READY)
     return [bench.drives[0].initial(), ready, bench.states[0]]
 
@@ -107,7 +110,7 @@ def test_a_number_is_refused_or_arrives_as_it_is(protocol: str, torque: float) -
     if abs(torque) <= LIMIT:
         _, frames = rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
         place.send(frames)
-        # The scale of these protocols is the model's, not the limit.
+        # In these protocols, the motor model scales a torque. In the others, the torque limit does.
         step = {"cubemars": 36.0 / 4095, "robstride_mit": 11.0 / 4095}.get(protocol, LIMIT / 1000)
         assert place.bench.motors[0].servo.torque == pytest.approx(torque, abs=step)
     else:

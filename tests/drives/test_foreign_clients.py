@@ -1,4 +1,7 @@
-"""Clients of users with the simulated drives on a local bus. tests/vcan/inside has the same on SocketCAN."""
+"""Run motor clients of other projects with the simulated drives on a local bus.
+
+tests/vcan/inside runs them on SocketCAN.
+"""
 
 import subprocess
 from collections.abc import Iterator

@@ -1,4 +1,7 @@
-"""A drive is not armed if the read-back of a guard is wrong: watchdog, heartbeat supervision, torque limit."""
+"""A drive is not armed if the read-back of a guard is wrong.
+
+Guards are the watchdog, heartbeat supervision and torque limit.
+"""
 
 import pytest
 
@@ -24,12 +27,12 @@ GUARDS = {
     },
     "robstride": {0x7005: "run_mode", 0x700B: "limit_torque", 0x7028: "canTimeout"},
 }  # fmt: skip
-"""Settings of each guarded protocol, with the name in the refusal."""
+"""Guarding settings of each protocol, with the name that the refusal to arm gives them."""
 CASES = [(protocol, guard, name) for protocol, guards in GUARDS.items() for guard, name in guards.items()]
 
 
 def hold(place: VirtualBench, guard) -> None:
-    """Make a setting keep its value. A write is confirmed as if it had an effect."""
+    """Let a simulated drive keep the value of a setting, but confirm each write of it."""
     node = place.bench.nodes[0]
     if isinstance(node, MitNode):
         write = node.registers.write

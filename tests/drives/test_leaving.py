@@ -1,4 +1,4 @@
-"""State of drives after a run: a missing host is no fault unless the run failed."""
+"""Test the state of drives after a run. A host that is no longer there is a fault only if the run failed."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def until(course: Simulation, mode: Mode) -> None:
 
 
 def run_again(course: Simulation) -> Simulation:
-    """Return a second run on the same drives, one second after the end of the first."""
+    """Return a second run on the same drives. It starts one second after the end of the first run."""
     for k in range(SILENCE_TICKS):
         course.peer.step((course.k + k) * course.period_ns, [])
     return Simulation(course.controller, course.peer, course.period_ns, course.controller.initial(), course.k + k + 1)

@@ -1,4 +1,7 @@
-"""LeRobot's RobStride bus drives the simulated motors in MIT mode. The test needs an environment with lerobot."""
+"""LeRobot's bus class for RobStride motors commands simulated motors in MIT mode.
+
+The test needs an environment with lerobot.
+"""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Bus load compared with a worst-case table made by counting bits, and with bit-exact stuffing."""
+"""Compare the predicted bus load with a worst-case table made by counting bits, and with bit-exact stuffing."""
 
 import pytest
 from hypothesis import given
@@ -31,11 +31,14 @@ def test_tick_time_of_mit_motors_and_load_cells_matches_reference_values(
 
 
 PAYLOADS = st.lists(st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0x0F, 0xF0, 0xFF])), max_size=8).map(bytes)
-"""Payloads of all kinds, and often of those that need many stuff bits."""
+"""Random payloads. Bytes that need many stuff bits are frequent."""
 
 
 def stuff_bits(bits: str) -> str:
-    """Return the bits with stuff bits: after five equal bits, stuff bits included, follows an opposite bit."""
+    """Return bits with stuff bits added.
+
+    A stuff bit follows five equal bits and is opposite to them. Stuff bits count among the five.
+    """
     out = ""
     for bit in bits:
         out += bit
@@ -45,7 +48,7 @@ def stuff_bits(bits: str) -> str:
 
 
 def crc15(bits: str) -> str:
-    """Return the CRC-15 of the bits. Source: ISO 11898-1, the polynomial 0x4599."""
+    """Return the CRC-15 of bits with the polynomial 0x4599. Source: ISO 11898-1."""
     register = 0
     for bit in bits:
         top = register >> 14 & 1
@@ -64,7 +67,7 @@ def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: 
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
-    """A frame of zeros nearly reaches the bound of classical frames."""
+    """A classical frame of zeros reaches at least 85 % of the worst case."""
     body = "0" * 19 + "0" * 64
     bits = len(stuff_bits(body + crc15(body))) + 13
     assert bits > 0.85 * 135

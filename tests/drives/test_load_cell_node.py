@@ -1,4 +1,8 @@
-"""Reference firmware of the load-cell node, compiled on the host, against a model of its ADC and the DBC."""
+"""Test the reference firmware of the load-cell node.
+
+It is compiled for the host and runs with a model of its ADC. Its frames are compared with the DBC
+file.
+"""
 
 import ctypes
 import random
@@ -22,18 +26,18 @@ CHANNELS_MAX = 15
 SYNC_ID = 0x080
 BASE_ID = 0x1A0
 NN_PER_COUNT = 42_000
-"""Tension of one count of a 250 N cell with 2 mV/V at 3.3 V and gain 128 [nN]."""
+"""Tension of one ADC count [nN], for a 250 N load cell with 2 mV/V at 3.3 V and gain 128."""
 BROKEN = 0
 MODE, CLOCK, GAIN = 0x02, 0x03, 0x04
 RESET_VALUES = {MODE: 0x0510, CLOCK: 0x0F0E, GAIN: 0x0000}
-"""Registers after a reset. Source: data sheet SBAS890."""
+"""Values of the ADC's registers after a reset. Source: data sheet SBAS890."""
 RESET_FLAG = 0x0400
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 
 
 class Settings(ctypes.Structure):
-    """``struct node_settings``."""
+    """The C structure ``struct node_settings``."""
 
     _fields_ = [
         ("sync_id", ctypes.c_uint16),
@@ -51,13 +55,13 @@ TRANSFER = ctypes.CFUNCTYPE(
 
 
 class Board(ctypes.Structure):
-    """``struct node_board``."""
+    """The C structure ``struct node_board``."""
 
     _fields_ = [("read", ctypes.c_void_p), ("send", SEND), ("context", ctypes.c_void_p)]
 
 
 class Adc(ctypes.Structure):
-    """``struct ads131m04``."""
+    """The C structure ``struct ads131m04``."""
 
     _fields_ = [
         ("transfer", TRANSFER),
@@ -68,7 +72,7 @@ class Adc(ctypes.Structure):
 
 
 class Node(ctypes.Structure):
-    """``struct node``."""
+    """The C structure ``struct node``."""
 
     _fields_ = [
         ("settings", Settings),
@@ -79,7 +83,7 @@ class Node(ctypes.Structure):
 
 
 def crc16(data: bytes) -> int:
-    """Compute the CRC-16-CCITT of the data sheet, bit by bit over the whole message."""
+    """Compute the CRC-16-CCITT that the data sheet defines, bit by bit over the whole message."""
     remainder = 0xFFFF
     for byte in data:
         for bit in range(7, -1, -1):
@@ -90,19 +94,19 @@ def crc16(data: bytes) -> int:
 
 @dataclass
 class Chip:
-    """Model of an ADS131M04: registers, answer to the command before, channels and checksum."""
+    """Model of an ADS131M04 chip: its registers, its reply to the last command, its channels and its checksum."""
 
     counts: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
     registers: dict[int, int] = field(default_factory=lambda: dict(RESET_VALUES))
     answer: int | None = None
     fresh: int = 0xF
     damage: Callable[[bytes], bytes] = bytes
-    """Change of the answer on its way, for faults."""
+    """Function that changes the reply on its way, to simulate faults of transmission."""
     kept: frozenset[int] = frozenset((MODE, CLOCK, GAIN))
-    """Registers that keep what is written."""
+    """Registers that take the values that are written to them."""
 
     def transfer(self, out: bytes) -> bytes:
-        """Exchange one frame of 18 bytes."""
+        """Take one frame of 18 bytes and return another, as in a transfer by SPI."""
         status = (self.registers[MODE] & RESET_FLAG) | 0x0100 | self.fresh
         words = [self.answer if self.answer is not None else status]
         data = words[0].to_bytes(2) + b"\0"
@@ -120,7 +124,7 @@ class Chip:
 
 
 class Bench:
-    """The compiled node on a board with model chips. Sent frames are collected."""
+    """The compiled firmware on a board with model chips. The bench collects the frames that it sends."""
 
     def __init__(self, library: Any, channels: int) -> None:
         self.library = library
@@ -137,7 +141,7 @@ class Bench:
         self.set_up = [bool(library.ads131m04_setup(ctypes.byref(self.adc), chip)) for chip in range(self.adc.chips)]
 
     def init(self) -> bool:
-        """Initialize the node with the settings."""
+        """Initialize the firmware with the settings, and return whether it accepted them."""
         return bool(
             self.library.node_init(ctypes.byref(self.node), ctypes.byref(self.settings), ctypes.byref(self.board))
         )
@@ -150,18 +154,18 @@ class Bench:
         self.sent.append((can_id, bytes(data[:length])))
 
     def weigh(self, tensions: list[float]) -> None:
-        """Set the counts of the cells from tensions [N]."""
+        """Set the ADC counts of the load cells to those of given tensions [N]."""
         for i, tension in enumerate(tensions):
             self.chips[i // 4].counts[i % 4] = round(tension * 1e9 / NN_PER_COUNT)
 
     def receive(self, can_id: int, data: bytes) -> list[tuple[int, bytes]]:
-        """Deliver a CAN frame, and return the answers."""
+        """Deliver a CAN frame to the firmware, and return the frames that it sends."""
         self.sent.clear()
         self.library.node_receive(ctypes.byref(self.node), can_id, data, len(data))
         return list(self.sent)
 
     def codes(self, counter: int = 0) -> list[int]:
-        """Return the codes of all channels after a SYNC."""
+        """Send a SYNC, and return the tension codes of all channels in the replies."""
         words = [int.from_bytes(data, "little") for _, data in self.receive(SYNC_ID, bytes((counter,)))]
         return [words[i // 5] >> (4 + 12 * (i % 5)) & 0xFFF for i in range(self.settings.channels)]
 
@@ -184,7 +188,10 @@ def test_the_firmware_has_at_most_300_lines() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(library: Any, seed: int) -> None:
-    """Three decoders agree: the simulator's packer, cantools with the DBC, and the counter of SYNC."""
+    """The firmware's frames equal those of the simulator.
+
+    With the DBC file, cantools decodes their tensions and counter.
+    """
     chance = random.Random(seed)
     database: Any = cantools.database.load_file(DBC)
     channels = chance.randint(1, CHANNELS_MAX)
@@ -203,7 +210,7 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(library: Any, see
             ours = [(int.from_bytes(data, "little") >> 4 + 12 * i) & 0xFFF for i in range(len(group))]
             assert len(data) == len(pack(counter, ours))
             assert data == pack(counter, ours)
-            # A tension halfway between two codes may be rounded up or down.
+            # The firmware may round a tension halfway between two codes up or down.
             assert all(abs(code - tension_code(tension)) <= 1 for code, tension in zip(ours, group, strict=True))
 
 
@@ -261,7 +268,7 @@ def test_a_flipped_bit_is_no_tension(library: Any, seed: int) -> None:
 
 
 def test_a_chip_that_was_reset_is_set_up_again(library: Any) -> None:
-    """Without this its gain would be 1 instead of 128, and every tension would read near zero."""
+    """Without a new set-up, the chip's gain would be 1 instead of 128. Every tension would then read near zero."""
     bench = Bench(library, 4)
     bench.weigh([100.0] * 4)
     assert bench.chips[0].registers[GAIN] == 0x7777

@@ -1,4 +1,4 @@
-"""MIT frames compared with bytes from the tables of the manual, and with all values that can be encoded."""
+"""Compare frames of the MIT protocol with bytes from the manual, and test all values that can be encoded."""
 
 import math
 import struct
@@ -27,7 +27,7 @@ ENABLED = DriveState(phase=Phase.ENABLED, private=MitProgress(configured=True, e
 
 @pytest.mark.parametrize(
     ("torque", "payload"),
-    [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0, and the torque in the last twelve bits
+    [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0; the last twelve bits are the torque
         (-0.8, "7fff7ff000000000"),
         (0.8, "7fff7ff000000fff"),
         (0.0, "7fff7ff000000800"),
@@ -41,7 +41,7 @@ def test_golden_commands(torque: float, payload: str) -> None:
 
 @pytest.mark.parametrize(
     ("payload", "values"),
-    [  # nibble and id, 16 bits of position, 12 of velocity, 12 of torque, two temperatures
+    [  # state and identifier of the motor, 16 bits of position, 12 of velocity, 12 of torque, two temperatures
         ("01000000000000ff", (0, -12.5, -50.0, -0.8, 255.0)),
         ("11ffffffffff2a19", (1, 12.5, 50.0, 0.8, 42.0)),
         ("d17fff7ff7ff1e1f", (13, -12.5 / 65535, -50 / 4095, -0.8 / 4095, 31.0)),

@@ -1,4 +1,7 @@
-"""Faults by motor, power or a second controller. Only a confirmed state counts as disabled."""
+"""Test faults of a motor, of its power supply, and by a second controller.
+
+A motor counts as disabled only when it has confirmed this.
+"""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Life cycle of a motor: silent, set-up of registers, enabled, disabled."""
+"""Test the life cycle of a motor. It is silent, its registers are set up, and it is enabled and disabled."""
 
 import math
 
@@ -12,7 +12,7 @@ from tests.drives.conftest import MotorRig, drive_of
 ENABLE = b"\xff" * 7 + b"\xfc"
 DISABLE = b"\xff" * 7 + b"\xfd"
 HALF_TORQUE = 3071
-"""Code of 0.4 N m when TMAX is 0.8: (0.4 + 0.8) * 4095 / 1.6 = 3071.25."""
+"""Code of a torque of 0.4 N m if the register TMAX is 0.8 N m: (0.4 + 0.8) * 4095 / 1.6 = 3071.25."""
 
 
 def test_motor_goes_from_silent_to_enabled_and_back_to_disabled(rig: MotorRig) -> None:

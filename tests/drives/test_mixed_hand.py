@@ -1,4 +1,4 @@
-"""One hand on two buses with three protocols, and refused combinations in a hand file."""
+"""Test a hand on two buses with three drive protocols, and combinations in a hand file that are refused."""
 
 import re
 from pathlib import Path
@@ -19,7 +19,11 @@ from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, on_two
 
 
 def mixed_hand(folder: Path) -> Path:
-    """Return MIT and ODrive beside the load cells, and two CiA 402 drives on a second bus, one of which sends SYNC."""
+    """Write the file of a hand with three drive protocols on two buses, and return its path.
+
+    An MIT and an ODrive drive share the first bus with the load cells. Two CiA 402 drives are on
+    the second bus, and one of them sends SYNC.
+    """
     path = on_two_buses(hand_file(folder, ["mit", "odrive", "cia402"]))
     head, *motors = path.read_text().split("[[motor]]")
     motors[2] = motors[2].replace("counts_per_turn", "sync = true\ncounts_per_turn")
@@ -42,7 +46,10 @@ def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
 
 
 def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None:
-    """Regression: an ODrive verified its settings before it was enabled, and five silent ticks were a fault."""
+    """Regression: an ODrive verified its settings again before it was enabled.
+
+    Its five silent ticks were then a fault.
+    """
     bench = Bench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
     bench.until(DriveTarget.POLL, Phase.READY)
     for _ in range(10):
@@ -136,7 +143,10 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
     [("mit", "", 1215), ("cia402", "", 1110), ("odrive", "encoder_period_ms = 2\n", 1055)],
 )
 def test_the_load_is_that_of_the_table(tmp_path: Path, protocol: str, extra: str, microseconds: float) -> None:
-    """Count the frames of the motors in the table, 8 bytes of tensions, and an empty SYNC with CiA 402 alone."""
+    """The load counts the frames of the motors and one frame with 8 bytes of tensions.
+
+    With CiA 402, it counts an empty SYNC too.
+    """
     bench = Bench(hand_file(tmp_path, [protocol], extra))
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [(8, False, 1.0)]
     frames += [(0, False, 1.0)] if protocol == "cia402" else [(8, False, 4.0)] if protocol == "odrive" else []
@@ -144,7 +154,10 @@ def test_the_load_is_that_of_the_table(tmp_path: Path, protocol: str, extra: str
 
 
 def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
-    """Regression: the page recommended 0x10, an identifier of RPDO1 of CANopen nodes 1 to 31."""
+    """Regression: the page recommended 0x10.
+
+    Its identifiers overlapped with those of RPDO1 of CANopen nodes 1 to 31.
+    """
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(encoding="utf-8")
     text = re.search(r"With the node\s+numbers (.*?), these\s+identifiers", page, re.DOTALL)
     assert text
@@ -164,7 +177,10 @@ def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canope
 
 @pytest.mark.parametrize(("cubemars", "mit", "reply"), [(5, 5, 0x15), (5, 0x21, 5), (5, 1, 0x80)])
 def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(cubemars: int, mit: int, reply: int) -> None:
-    """A CubeMars motor replies on its number. Here it is a command or reply of a Damiao motor, or SYNC."""
+    """A CubeMars motor replies with its node number as identifier.
+
+    Here another motor or SYNC already has this identifier.
+    """
     sensors = make_sensors(load_hand("jamia"))
     first = make_drive(motor_on_bench("cubemars", cubemars, 0.8, {"motor_type": "ak80-9"}), 0)
     second = make_drive(motor_on_bench("mit", mit, 0.8, {"reply_id": reply}), 0)

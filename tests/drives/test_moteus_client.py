@@ -1,4 +1,7 @@
-"""The vendor's client drives the simulated moteus on a local bus. It needs the group ``extra``."""
+"""The vendor's client commands the simulated moteus on a local bus.
+
+The test needs the dependency group ``extra``.
+"""
 
 import pytest
 

@@ -1,4 +1,7 @@
-"""ODrive firmware 0.5.x: the same life cycle, another heartbeat, and guards that cannot be verified."""
+"""Test ODrives with firmware 0.5.x.
+
+They have the life cycle of later ones, but another heartbeat, and their guards cannot be verified.
+"""
 
 import struct
 from pathlib import Path

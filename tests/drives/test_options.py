@@ -1,4 +1,4 @@
-"""Options of a drive in a hand file: no value may break the arithmetic of the drive."""
+"""Test the options of a drive in a hand file. No accepted value may break the arithmetic of the drive."""
 
 import math
 from pathlib import Path
@@ -45,7 +45,10 @@ def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
 
 
 def test_position_step_is_reported() -> None:
-    """An encoder of 1000 counts is coarser than 16 bit over the range, and the filter needs its resolution."""
+    """The filter needs the resolution of a drive's position.
+
+    An encoder of 1000 counts is coarser than 16 bits over the range.
+    """
     coarse = CIA402 | {"counts_per_turn": 1000, "gear_ratio": 2.0}
     assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(math.pi / 1000)
     assert make_drive(motor_on_bench("mit", 1, 0.01, {}), 0).position_step == pytest.approx(25.0 / 65535)

@@ -1,4 +1,4 @@
-"""Faults of ODrive and CiA 402 drives, injected by the simulated firmware, and their messages."""
+"""Test faults of ODrive and CiA 402 drives, and their messages. The simulated firmware injects the faults."""
 
 import struct
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ def first_cia402(bench: Bench) -> Cia402Node:
 
 
 def error_of_first_drive(bench: Bench, phase: Phase, target: DriveTarget, ticks: int) -> str:
-    """Run ticks until the first drive is in a phase. Return its error text."""
+    """Run ticks until the first drive is in a phase, and return the error text of this drive."""
     for _ in range(ticks):
         bench.tick(target)
         if bench.states[0].phase == phase:
@@ -54,7 +54,10 @@ def error_of_first_drive(bench: Bench, phase: Phase, target: DriveTarget, ticks:
 
 
 def lose_first_frames(node: OdriveNode, command: int, start: bytes = b"", times: int = 1) -> list[WireFrame]:
-    """Lose the first frames of a command to the first ODrive whose data start so. Return the lost frames."""
+    """Drop the first frames of a command to the first ODrive. Return a list that collects the dropped frames.
+
+    Only frames whose data begin with ``start`` are dropped.
+    """
     taken, lost = node.receive, list[WireFrame]()
 
     def receive(frame: WireFrame, t_ns: int) -> list[WireFrame] | None:
@@ -70,7 +73,7 @@ def lose_first_frames(node: OdriveNode, command: int, start: bytes = b"", times:
 
 @pytest.mark.parametrize("moment", ["ready", "ordered"])
 def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench, moment: str) -> None:
-    """It restarts in position control and without its watchdog. Only its idle state shows this."""
+    """An ODrive restarts in position control and without its watchdog. Only its idle state shows the restart."""
     node = first_odrive(odrive)
     odrive.until(DriveTarget.POLL, Phase.READY)
     if moment != "ready":
@@ -91,7 +94,10 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench,
 
 @pytest.mark.parametrize("command", [codec.SET_MODE, codec.SET_LIMITS])
 def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: Bench, command: int) -> None:
-    """The drive does not confirm it. In position control the first torque would be a position jump."""
+    """An ODrive does not confirm its mode and limits.
+
+    In position control, the first torque command would be a position jump.
+    """
     node = first_odrive(odrive)
     lost = lose_first_frames(node, command)
     before = node.velocity_limit
@@ -103,7 +109,10 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: B
 
 @pytest.mark.parametrize("losses", [1, 2, 3])
 def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, losses: int) -> None:
-    """No reply confirms a write. With one lost frame in 1000, one start in ten of 11 motors would fail."""
+    """No reply confirms the write of a setting.
+
+    If 1 of 1000 frames is lost, a tenth of the starts of 11 motors would fail.
+    """
     node = first_odrive(odrive)
     lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
     if losses < 3:
@@ -139,7 +148,7 @@ def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> Non
 
 @pytest.mark.parametrize("target", [DriveTarget.ENABLE, DriveTarget.POLL])
 def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(odrive: Bench, target: DriveTarget) -> None:
-    """A calibration started over USB makes torque without a command, and reports no error."""
+    """An ODrive that is calibrated by USB makes a torque without a command, and reports no error."""
     odrive.until(target, Phase.ENABLED if target == DriveTarget.ENABLE else Phase.READY)
     first_odrive(odrive).state = 3
     assert "in axis state 3" in error_of_first_drive(odrive, Phase.FAULT, target, 60).replace("went to", "in")
@@ -218,7 +227,10 @@ def test_a_bus_without_sync_is_reported(cia402: Bench) -> None:
 
 
 def strict(bench: Bench) -> Bench:
-    """Return the same with drives that ignore a SYNC with data, as CANopenNode does while 0x1019 is 0."""
+    """Let the CiA 402 drives of a bench ignore a SYNC with data, and return the bench.
+
+    The stack CANopenNode does so while object 0x1019 is 0.
+    """
     for node in bench.rig.world.nodes[0]:
         if isinstance(node, Cia402Node):
             hear = node.receive

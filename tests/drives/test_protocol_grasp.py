@@ -1,4 +1,4 @@
-"""Commissioning and grasp in lockstep, with each protocol."""
+"""Test commissioning and a grasp in lockstep with drives of each protocol."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Behaviour that every protocol needs, tested with its simulated firmware, which shares no code with it."""
+"""Test the behaviour that every drive protocol must have. The simulated firmware shares no code with the drives."""
 
 import math
 import random
@@ -47,7 +47,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench)
 def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     protocol: str, period_ms: int, tmp_path: Path
 ) -> None:
-    """A setting verified in the last tick is valid for a tick of any length."""
+    """A setting of a drive that was verified in the last tick counts as verified, however long a tick is."""
     slow = Bench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
     slow.until(DriveTarget.POLL, Phase.READY)
     for _ in range(5):
@@ -87,7 +87,10 @@ def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: Bench) -> 
 
 
 def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Bench) -> None:
-    """CiA 301: PDOs act only in operational. CiA 402-2 requires no reaction to pre-operational."""
+    """A cut stops the torque first, because PDOs act only in the state operational (CiA 301).
+
+    CiA 402-2 requires no reaction of a drive that leaves this state.
+    """
     for drive in bench.drives:
         orders = [frame.can_id for frame in drive.cut()]
         assert 0 not in orders[:1], "an NMT order comes after the control word"

@@ -1,4 +1,4 @@
-"""Write and read-back of settings, common to all protocols."""
+"""Test the writing and read-back of settings, which is common to all drive protocols."""
 
 import pytest
 

@@ -1,4 +1,7 @@
-"""A drive that comes back enabled without its settings: limit and watchdog are read again while it is enabled."""
+"""Test drives that lose their settings and are still enabled.
+
+Their torque limit and watchdog are read again while they are enabled.
+"""
 
 import os
 from itertools import pairwise
@@ -33,7 +36,10 @@ def enabled(node_id: int) -> tuple[MitDrive, object]:
 
 
 def run(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: bool = True):
-    """Reply to commands and requests for a number of ticks. Return the state, and tick and register of each request."""
+    """Run a drive whose motor replies to commands and requests.
+
+    Return the state, and tick and register of each request.
+    """
     asked = []
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
     for k in range(ticks):
@@ -57,7 +63,10 @@ GOOD = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
 
 @pytest.mark.parametrize("node_id", [1, 11, 0x11, 0x1F])
 def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
-    """The first byte of a reply may equal that of the feedback of an enabled motor."""
+    """Register replies are told apart from feedback.
+
+    Their first byte may equal that of an enabled motor's feedback.
+    """
     drive, state = enabled(node_id)
     state, asked = run(drive, state, 2001, GOOD)
     assert [register for _, register in asked] == [codec.TIMEOUT, codec.TMAX] * 4
@@ -109,7 +118,10 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
-    """A moteus that lost its settings may stop obeying before they are read back: N14 is then the first fault."""
+    """A moteus that lost its settings may no longer obey.
+
+    If this shows before its settings are read again, N14 is the first fault.
+    """
     hand = hand_with_protocol("jamia", "moteus")
     with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
         advance_to(course, FREE)

@@ -1,7 +1,7 @@
-"""The client ``robstride`` of the package index reads and sets up the simulated motor in its private protocol.
+"""The Python package ``robstride`` reads and sets up the simulated motor in the private protocol of RobStride.
 
-The client has no operation control: it reads, writes and enables. It masks one of the two bits of the mode, hence its
-``mode`` is not compared.
+This client reads and writes parameters and enables the motor, but has no operation control. It
+drops one of the two mode bits, so its ``mode`` is not compared.
 """
 
 import can

@@ -1,4 +1,4 @@
-"""RobStride motors in MIT mode, against their simulated firmware: faults, numbers, and what cannot be verified."""
+"""Test RobStride motors in MIT mode with their simulated firmware: faults, numbers, and unverified protections."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -83,7 +83,10 @@ def test_faults_are_read_before_torque_and_await_a_clear(bench: Bench, fault: in
 
 
 def test_only_a_disabled_motor_is_asked_for_its_faults(bench: Bench) -> None:
-    """For other MIT motors, the request for faults is a motion command."""
+    """A request for faults is a motion command to other MIT motors.
+
+    It is therefore sent only while the motor is disabled.
+    """
     seen = []
     for target, phase in ((DriveTarget.ENABLE, Phase.ENABLED), (DriveTarget.DISABLE, Phase.READY)):
         for _ in range(100):
@@ -125,7 +128,7 @@ def test_a_wrong_option_is_refused_by_its_path(options: dict[str, object], wrong
 
 
 def test_no_numbers_share_an_identifier() -> None:
-    """New motors all reply with identifier 0."""
+    """New motors all have the host number 0, so all would reply with identifier 0."""
     assert drive_of(host_id=0).node_ids == {0}
     drive = drive_of()
     assert (drive.node_ids, drive.host_ids) == ({0x15}, {0x05, 0x105, 0x205})
@@ -143,7 +146,10 @@ def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> N
 
 
 def test_numbers_and_protocol_change_by_special_commands() -> None:
-    """The motor replies to each with its identity. handctl sends none of them."""
+    """The simulated motor replies to each special command with its identity.
+
+    The drives of handctl send none of these commands.
+    """
     place = VirtualBench("robstride_mit")
     node = place.bench.nodes[0]
     assert isinstance(node, RobstrideMitNode)

@@ -1,4 +1,4 @@
-"""Frames of the sensor node compared with its DBC file by another decoder, and the state of the host."""
+"""Compare frames of the sensor node with its DBC file by another decoder, and test the host's state of the node."""
 
 import math
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ def node() -> SensorNode:
 
 
 def encode_frames(first_id: int, prefix: str, counter: int, values: Sequence[float], t_ns: int = 0) -> list[Frame]:
-    """Return frames as the DBC file encodes them, each with the length of its channels."""
+    """Return frames of the sensor node as the DBC file encodes them. Each is only as long as its channels need."""
     frames = []
     for group in range(math.ceil(len(values) / 5)):
         part = values[5 * group : 5 * group + 5]
@@ -63,7 +63,7 @@ def encode_frames(first_id: int, prefix: str, counter: int, values: Sequence[flo
 
 
 def tick_of(node: SensorNode, nibble: int) -> int:
-    """Return the first tick whose SYNC has these low four bits."""
+    """Return the first tick whose SYNC counter has ``nibble`` as its lowest four bits."""
     return next(k for k, counter in enumerate(node.counters) if counter & 0xF == nibble)
 
 
@@ -76,18 +76,22 @@ def test_counters_keep_the_turn_of_the_joints(decimation: int) -> None:
 
 @pytest.mark.parametrize("decimation", [1, 2, 3, 4, 5, 6, 7])
 def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
-    """A frame up to 7 ticks old never counts as new, an older one by chance. Then over 40 of 100 are lost (B03b)."""
+    """A frame that is up to 7 ticks old never counts as new.
+
+    An older frame may count as new by chance. Over 40 of 100 frames are then lost, which is the
+    fault B03b.
+    """
     nibbles = [counter & 0xF for counter in sync_counters(decimation)]
     n = len(nibbles)
     for age in range(1, 200):
-        same = [k >= age and nibbles[k] == nibbles[k - age] for k in range(n)]  # without the first ones
+        same = [k >= age and nibbles[k] == nibbles[k - age] for k in range(n)]  # the first ticks have no older frame
         assert sum(same) <= (0 if age < 8 else 0.4 * n), age
         worst = max(sum(same[k : k + 100]) for k in range(n - 100))
         assert worst < 60, age
 
 
 def node_state(node: SensorNode, k: int) -> Wired:
-    """Return the state of the node after the request of tick k."""
+    """Return the host's state of the sensor node after the SYNC of tick k."""
     wired = Wired((), node)
     wired.sync(k)
     return wired
@@ -110,7 +114,11 @@ def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int
 
 
 def test_sensor_frames_are_decoded_to_known_values() -> None:
-    """By hand: 0 N is 96 = 0x060, 10 N is 256 = 0x100, the rail is 0xFFF, 0 rad is 0x800, the counter is 7."""
+    """The codes were computed by hand.
+
+    0 N is 96 = 0x060, 10 N is 256 = 0x100, the upper end of the range is 0xFFF, 0 rad is 0x800, and
+    the counter is 7.
+    """
     node = SensorNode.of(Section(tendons=TENDONS[:3], joints=("j4",)), 0, TENDONS, JOINTS)
     sync = node.sync(tick_of(node, 7))
     assert sync == Frame(0x080, sync.data)
@@ -133,7 +141,7 @@ def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
 
 @pytest.mark.parametrize(("base", "prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
 def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(node: SensorNode, base: int, prefix: str) -> None:
-    """The frame was delayed and overtaken, or another node sends it again."""
+    """A stale frame behind a fresh one was delayed and overtaken, or another node sends it again."""
     (fresh, *_), (stale, *_) = (encode_frames(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2))
     for frames, stale_now in (([stale], 1), ([stale, fresh], 1), ([fresh, stale], 2), ([fresh, stale, stale], 2)):
         wired = node_state(node, tick_of(node, 3)).receive(frames)
@@ -178,7 +186,7 @@ def test_a_hand_without_load_cells_has_no_reading() -> None:
 
 
 def without_unknown_counters(wired: Wired) -> bytes:
-    """Return the block without the counters of unknown frames."""
+    """Return the bytes of the state block with the counters of unknown and malformed frames set to zero."""
     block = wired.block.copy()
     for name in ("strange", "misread_now"):
         wired.layout.view(block, name)[...] = 0
@@ -270,7 +278,7 @@ def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
 
 
 def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
-    """The order and the ticks do not matter, and joint encoders do not count."""
+    """Load cells may be read in any order and in different ticks. Joint encoders are not waited for."""
     wired, bare = (Wired((), one) for one in (node, replace(node, frame_of=(*node.frame_of[:-1], -1))))
     for hand in (wired, bare):
         hand.view("position")[...] = 0.0
@@ -280,7 +288,8 @@ def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) 
             sync = hand.sync(k)
             hand.receive([Frame(base, bytes([sync.data[0] & 0xF] + [0] * (size - 1)))]).observe()
         assert wired.number("started") == done, hex(base)
-        # The last frame has the last tendon's load cell alone, which this hand does not have.
+        # The last frame contains only the load cell of the last tendon. The second hand has no such
+        # load cell.
         assert bare.number("started") == (done or base == 0x1A1), hex(base)
 
 

@@ -1,4 +1,7 @@
-"""SYNC for CiA 402 drives on every bus: from the sensor node's SYNC, or from one drive of the bus."""
+"""Test SYNC for CiA 402 drives.
+
+On every bus, either the request to the sensor node is the SYNC, or one drive sends it.
+"""
 
 import tomllib
 from pathlib import Path
@@ -38,7 +41,7 @@ def without_sensors() -> Hand:
 
 
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
-    """Regression: the bus without the sensor node had no SYNC, so the hand of CiA 402 drives never armed."""
+    """Regression: the bus without the sensor node had no SYNC, so a hand with CiA 402 drives was never armed."""
     path = on_two_buses(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))
     assert senders(hand) == ["thumb_motor"], "the last drive of the bus without the sensor node"
@@ -63,7 +66,10 @@ def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
     ],
 )
 def test_one_drive_of_a_bus_sends_sync(old: str, new: str, expected: list[str], tmp_path: Path) -> None:
-    """A sensor node with another SYNC identifier gives no SYNC to drives. The option of the hand file stays."""
+    """If the sensor node's SYNC has another identifier, a drive sends SYNC.
+
+    A drive with the option ``sync`` remains the sender.
+    """
     path = on_two_buses(hand_file(tmp_path, ["cia402"]))
     text = path.read_text()
     assert old in text

@@ -1,4 +1,4 @@
-"""ODrives that send their position by themselves beside the requested one: the position of the request counts."""
+"""Test ODrives that send positions unasked in addition to the requested ones. Only the requested positions count."""
 
 import os
 
@@ -16,9 +16,9 @@ from handctl.session.simulate import Simulator, homed_controller
 
 SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
 RATE_HZ = 250.0
-"""Rate whose ticks fall between the drive's own messages, which come every 10 ms."""
+"""Control rate [Hz]. Its ticks fall between the drive's unasked messages, which come every 10 ms."""
 SWING_N = 5.0
-"""Largest swing of a tension in motion [N]. The fault N14b is at 8 N."""
+"""Largest permitted oscillation of a tension in motion [N RMS]. The limit of the fault N14b is 8 N."""
 BENT = {"index": (20.0, 76.0, 61.0), "middle": (20.0, 76.0, 61.0), "thumb": (40.0, 40.0)}
 OPEN = {"index": (0.0, 0.0, 0.0), "middle": (0.0, 0.0, 0.0), "thumb": (0.0, 0.0)}
 TASK = Task.model_validate(
@@ -35,7 +35,10 @@ TASK = Task.model_validate(
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
-    """The tensions of a hand without springs swung by 15 N RMS, which ended the default task with N14b."""
+    """Regression: the tensions of a hand without springs oscillated by 15 N RMS.
+
+    This ended the default task with N14b.
+    """
     model = HandModel.of(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
     with Simulator(model.hand, None, seed, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:
         run.record = False

@@ -1,4 +1,4 @@
-"""Load of a simulated bus compared with the prediction of ``bus plan``, and a hand on a disturbed bus."""
+"""Compare the load of a simulated bus with the prediction of ``bus plan``, and test a hand on a disturbed bus."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,12 +17,12 @@ PERIOD_NS = 4_000_000
 
 
 def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
-    """Return the planned time of a tick on each bus, with the frames that a timer sends."""
+    """Return the planned bus time of a tick on each bus [s], including frames that a timer sends."""
     return [load.at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))]
 
 
 def measured_tick_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
-    """Return the mean measured time of an enabled hand's tick on each bus."""
+    """Return the mean measured bus time of a tick on each bus [s], while the drives are enabled."""
     bench = Bench(path, wire, period_ns)
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     assert bench.rig.wired
@@ -104,7 +104,10 @@ def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("adapter", "ticks"), [("none", 1), ("usb-hs", 1), ("spi", 1), ("usb-fs", 2), ("ftdi", 8)])
 def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(adapter: str, ticks: int, tmp_path: Path) -> None:
-    """Drives behind each adapter become ready at 250 Hz. Ticks without feedback come with the latency."""
+    """Drives behind each USB adapter become ready at 250 Hz.
+
+    The latency of the adapter causes ticks without feedback.
+    """
     bench = Bench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter}"], PERIOD_NS)
     bench.until(DriveTarget.POLL, Phase.READY, 1000)
     silent = longest = 0

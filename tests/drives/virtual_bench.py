@@ -1,4 +1,4 @@
-"""A simulated drive alone on a bench in virtual time, and the host of the bench."""
+"""A simulated drive that is alone on a bus in virtual time, and the host that commands it."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ OPTIONS = {
 
 
 class VirtualBench:
-    """Bench that is bus and clock at once: waiting for a tick advances the drives' time."""
+    """Bench that is both the bus and the clock of a host. Waiting for a tick advances the time of the drive."""
 
     name = "bench"
 
@@ -33,10 +33,10 @@ class VirtualBench:
         spec = drive_spec(protocol, NODE, inertia=inertia)
         self.bench = Bench([replace(spec, options=options or spec.options)], fault=fault)
         self.waiting, self.top, self.origin_ns = [], 0.0, 0
-        self.late = [[] for _ in range(delay)]  # frames that are still delayed, one list per tick
+        self.late = [[] for _ in range(delay)]  # frames still on their way, one list per tick
 
     def start(self):
-        """Begin a run: its tick 0 is now."""
+        """Begin a run at the present time, which is that of its tick 0."""
         self.origin_ns = self.bench.t_ns
 
     def wait(self, k):
@@ -56,21 +56,21 @@ class VirtualBench:
         return len(frames)
 
     def drain(self):
-        """Return the drive's frames, late by the delay."""
+        """Return the frames that the drive sent ``delay`` ticks ago."""
         self.late.append(self.waiting + self.bench.take_unsolicited())
         self.waiting = []
         return [Frame(*frame)._replace(t_ns=frame.t_ns - self.origin_ns) for frame in self.late.pop(0)]
 
     def pass_time(self, for_s):
-        """Advance the drives' time without a host [s]."""
+        """Advance the time of the drive by ``for_s`` seconds without a host."""
         self.bench.advance(self.bench.t_ns + round(for_s * 1e9))
 
     def take_events(self):
-        """Return no bus events."""
+        """Return an empty list, because this bus has no events."""
         return []
 
 
 def rig_on(place, protocol, limit, options=None):
-    """Return the host of the drive, with a torque limit [N m]."""
+    """Return a host that commands the drive of a bench with a torque limit [N m]."""
     motor = motor_on_bench(protocol, NODE, limit, OPTIONS[protocol] if options is None else options)
     return DriveRig(make_drive(motor, 0), place, place)

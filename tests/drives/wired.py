@@ -1,4 +1,4 @@
-"""Drives and sensor node with a state block, received and sent by compiled code as in a tick."""
+"""Drives and sensor node with a state block. Compiled code receives and sends their frames, as in a tick."""
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
@@ -19,16 +19,17 @@ from handctl.drives.sensors.contract import Sensors
 
 
 class Wired:
-    """State of drives and sensor node between ticks.
+    """State of the drives and of the sensor node between ticks.
 
     Attributes:
-        block: numbers. states: of the drives, as their state machines left them; their values are in the block.
-        seen: frames that a state machine had to look at in the last ``receive``.
-        foreign: frames on identifiers that only the host may use.
+        block: numbers of the state. states: states of the drives as their state machines left them. The values of
+            drives are in the block.
+        seen: frames of the last ``receive`` that a state machine of a drive had to process.
+        foreign: frames of the last ``receive`` with identifiers that only the host may use.
     """
 
     def __init__(self, drives: Sequence[Drive], sensors: Sensors) -> None:
-        """Build block and compiled wire of drives and sensor node."""
+        """Build the state block and the tables with which compiled code reads and writes frames."""
         self.drives, self.sensors = drives, sensors
         n = len(sensors.frame_of)
         joints = 1 + max((j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0)
@@ -48,23 +49,23 @@ class Wired:
         return self.layout.view(self.block, name)
 
     def number(self, name: str) -> int:
-        """Return a number of the run."""
+        """Return a single number of the state block by its name."""
         return int(self.view(name)[0])
 
     def begin(self) -> None:
-        """Begin a tick with an unchanged number and time."""
+        """Begin a tick without changing the tick's number and time."""
         numbers = [self.number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
         wire.begin_tick(self.block, self.layout.places, *numbers)
 
     def sync(self, k: int) -> Frame:
-        """Send the request to the sensors as the end of a tick does, and begin the next tick."""
+        """Return the request to the sensors as the end of a tick sends it, and begin the next tick."""
         frame = self.sensors.sync(k)
         self.view("sync_asked")[...], self.view("syncs")[...] = self.sensors.counter(k) & 0xF, self.number("syncs") + 1
         self.begin()
         return frame
 
     def receive(self, frames: Iterable[Frame]) -> "Wired":
-        """Receive frames."""
+        """Receive frames as a tick does, and return this object."""
         frames, known, at = frames_as_records(frames), self.tables, 0
         self.seen, self.foreign = [], []
         while True:
@@ -84,7 +85,7 @@ class Wired:
             at += 1
 
     def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
-        """Return the commands of a tick."""
+        """Return the frames that a tick sends to the drives for a target and torques."""
         self.view("t_ns")[...] = t_ns
         tables, sent, first = self.tables, list[Frame](), 0
         while True:
@@ -104,7 +105,7 @@ class Wired:
             first += 1
 
     def keep(self, i: int, known: DriveState) -> None:
-        """Write the state of a drive."""
+        """Store the state of drive i, with its values in the block."""
         drive, whole, table = (
             self.drives[i],
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
@@ -116,21 +117,21 @@ class Wired:
         self.states[i] = known
 
     def drive(self, i: int) -> DriveState:
-        """Return the state of a drive with the values of the block."""
+        """Return the state of drive i with its values from the block."""
         table, whole = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[i].with_values(*drive_values(table, whole, i))
 
-    # The sensor node's part.
+    # Readings of the sensor node.
 
     @property
     def tensions(self) -> dict[int, float]:
-        """Return the load-cell readings of this tick [N]."""
+        """Return the load-cell readings that arrived in this tick, by tendon [N]."""
         fresh, cells = self.view("cell_fresh"), self.view("cell")
         return {i: float(cells[i]) for i in np.flatnonzero(fresh).tolist()}
 
     @property
     def joints(self) -> dict[int, float]:
-        """Return the joint-encoder readings of this tick [rad]."""
+        """Return the joint-encoder readings that arrived in this tick, by joint [rad]."""
         fresh, angles = self.view("joint_fresh"), self.view("joint_angle")
         return {j: float(angles[j]) for j in np.flatnonzero(fresh).tolist()}
 
@@ -140,13 +141,13 @@ class Wired:
         return bool(self.view("misread_now")[-1])
 
     def observe(self) -> "Wired":
-        """Convert the received values to measurements, and start the filter if every sensor was read."""
+        """Convert received values to measurements, and start the filter once every sensor has been read."""
         stages.observe_tick(self.block, self.layout.places, *self._constants)
         return self
 
     @cached_property
     def _constants(self) -> tuple[NDArray, NDArray]:
-        """Constants of which only the load cells' frames are told."""
+        """Constants of a hand in which only the frames of the load cells are set."""
         axes = self.layout.axes
         kept = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
         layout = HAND.layout({**kept, "kind": KINDS, "element": ELEMENTS, "place": 1, "run": 1})

@@ -1,4 +1,4 @@
-"""Every program of examples/ runs as a user runs it, and does what its head says."""
+"""Every program in examples/ runs with the command line of a user, and behaves as its head describes."""
 
 import re
 import select
@@ -25,7 +25,7 @@ SCALE = 1.0
 
 @contextmanager
 def serving(*words):
-    """Run a program that another one needs, from its ready line on."""
+    """Run a simulator that an example needs. The block begins when the simulator is ready."""
     process = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
@@ -37,7 +37,7 @@ def serving(*words):
 
 @pytest.fixture(autouse=True)
 def place(tmp_path, monkeypatch):
-    """Change to an empty folder, with sockets in a folder that has a short path."""
+    """Change to an empty folder. Sockets are in another folder with a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.chdir(tmp_path)
@@ -46,14 +46,14 @@ def place(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def grasp_log(tmp_path_factory):
-    """Return the log of a grasp in lockstep."""
+    """Return the path of the log of a grasp in lockstep."""
     path = tmp_path_factory.mktemp("grasp") / "grasp.mcap"
     assert main(["demo", "--lockstep", "--log", str(path)]) == 0
     return path
 
 
 def example(name, *words, stdin=""):
-    """Run an example and return its output."""
+    """Run an example program and return its output."""
     command = [sys.executable, str(EXAMPLES / name), *words]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=280, input=stdin, check=False)
     assert ran.returncode == 0, ran.stdout + ran.stderr
@@ -62,7 +62,7 @@ def example(name, *words, stdin=""):
 
 
 def numbers(text):
-    """Return the numbers of a text."""
+    """Return all numbers in a text."""
     return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", text)]
 
 
@@ -76,7 +76,7 @@ def check_picture(name):
 
 @contextmanager
 def hand(slower, *words, name="jamia"):
-    """Serve the simulated hand of the examples, homed and slowed. Yield the options of its controller."""
+    """Run the simulated hand of the examples in slowed time. Yield the command-line options of its controller."""
     scale = scaled(SCALE * slower)
     write_homed(Path("c.toml"), load_hand(name))
     with serving("-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED, *words, *scale):

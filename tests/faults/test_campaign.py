@@ -1,4 +1,7 @@
-"""The fault matrix in lockstep: each fault has an effect, reactions are in time, and physics explains all tensions."""
+"""Test the fault matrix in lockstep.
+
+Each fault has an effect, reactions are in time, and physics explains all tensions.
+"""
 
 import contextlib
 import math
@@ -47,7 +50,7 @@ SAMPLE = ("N08", "H13")
 
 @pytest.fixture(scope="module")
 def report():
-    """Run some rows on MIT drives, and an undisturbed hand for a second."""
+    """Return the report of a campaign with some rows on MIT drives, and with one second of a hand without faults."""
     return campaign.run_campaign(
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None, row_ids=SAMPLE,
@@ -55,7 +58,10 @@ def report():
 
 
 def test_only_existing_load_cells_fail():
-    """Regression: the campaign requested a saturated load cell for a spool pair, and ended with a traceback."""
+    """Regression: the campaign let a load cell of a spool pair saturate, but spool pairs have none.
+
+    It ended with a traceback.
+    """
     for hand in (on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
         found = [*scenarios(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
@@ -79,7 +85,10 @@ def test_the_report_has_its_sections(report):
 
 
 def test_fault_free_run_alone_continues_its_seeds():
-    """Seeds continue from run to run, and long runs can be done in pieces."""
+    """The seeds of runs without faults can continue from an earlier campaign.
+
+    A long campaign can therefore be done in pieces.
+    """
     seeds = []
 
     def seen(hand, rate, seconds, seed):
@@ -97,7 +106,10 @@ def test_fault_free_run_alone_continues_its_seeds():
 
 
 def alarms_of_run(phase, *texts):
-    """Return the alarms of a hand that is in one phase for eight seconds and reports faults in each second."""
+    """Return the false alarms of a run without injected faults.
+
+    The hand stays in one phase for eight seconds and reports the given faults in each second.
+    """
     events = tuple(Event("warn", "fault", "", text) for text in texts)
     out = SimpleNamespace(mode=Mode.ACTIVE, phase=phase, events=events)
 
@@ -125,7 +137,6 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
     assert alarms_of_run("ready") == ["seed 5 did not reach a grasp: ready"]
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("seed", range(3))
 def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
     """Regression: the large changes of the commands at the contact hid the exchange for 2.3 s."""
@@ -148,13 +159,17 @@ def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_
     assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
 
 
+@pytest.mark.timeout(120)
 def test_at_100_hz_noise_prevents_no_grasp():
-    """With three times the noise one of eleven taut tendons looks slack in every fifth tick."""
+    """With load cells of triple noise, one of eleven taut tendons would look slack in every fifth tick."""
     assert campaign.run_fault_free(hand_with_protocol("jamia11", "odrive"), 100.0, 8.0, seed=80111) == []
 
 
 def test_a_missing_reaction_counts_as_late(tmp_path):
-    """Positive control of the judge: a fault that cannot be detected in time, and one without effect, are reported."""
+    """The judge reports a fault without effect, and a fault that cannot be detected in time.
+
+    This is its positive control.
+    """
     hand = hand_with_protocol("jamia", "mit")
     never = MatrixRow("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
     slow = MatrixRow("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
@@ -179,7 +194,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 
 def test_a_reaction_to_another_fault_does_not_count():
-    """A run that ends because a drive dropped out proves nothing about its load cells."""
+    """If a run ends because a drive has dropped out, this does not show that faults of load cells are detected."""
     row = MatrixRow("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
     with homed_run(hand_with_protocol("jamia", "mit"), RATE_HZ, 0) as simulation:
         advance_to(simulation, ARMING)
@@ -211,7 +226,10 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 
 @pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
 def test_silent_joint_encoders_are_detected(joint):
-    """Each kind of frame counts apart, after four missing frames. Up to three in a row may be lost (no N06, no T08)."""
+    """Four missing frames of a joint encoder are a fault.
+
+    Three missing frames in a row cause no fault, neither N06 nor T08.
+    """
     every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, found in ((3, ""), (4, f"N02b {joint}")):
         fault = f"mute joint={joint} for={5 * every * frames}ms"
@@ -225,7 +243,7 @@ def test_silent_joint_encoders_are_detected(joint):
 
 
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
-    """Regression: with steady filter gains the tension rose to 171 N at a command of 7 N."""
+    """Regression: with steady filter gains, the tension rose to 171 N while 7 N were commanded."""
     row = next(row for row in MATRIX if row.id == "N15" and "cia402" in row.protocols)
     with homed_run(hand_with_protocol("jamia11", "cia402"), 200.0, 0) as simulation:
         advance_to(simulation, ARMING)
@@ -236,11 +254,12 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
 
 
 def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
-    """A drive that runs away against a grasped object.
+    """A drive that runs away against a grasped object causes no more tension than its limit and momentum explain.
 
-    Bound: the drive's limit F pushes the rotor (mass m at the tendon) against the tendon stiffness k, from the
-    initial tension T and speed v. Without friction the tension overshoots to F + sqrt((F - T)^2 + k m v^2). The
-    reaction of the host can only lower it.
+    The drive's force limit F moves the rotor against the tendon. The rotor has the mass m at the
+    tendon and the initial speed v, the tendon the stiffness k and the initial tension T. Without
+    friction the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the host can only
+    lower it.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
@@ -260,7 +279,10 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
 
 
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
-    """Use an ODrive without torque feedback. The load cell saturates below the tension of an immediate cut."""
+    """The drive is an ODrive without torque feedback.
+
+    Its load cell saturates below the tension that causes an immediate cut.
+    """
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
     with homed_run(hand, 400.0, 0) as simulation:

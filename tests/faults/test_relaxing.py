@@ -1,4 +1,7 @@
-"""Relaxing never raises the tension: random hands, plants, faults and times, judged by the true tension."""
+"""Relaxing never raises a tension.
+
+The hands, simulated parameters, faults and times are random, and the true tension decides.
+"""
 
 import math
 import os
@@ -30,11 +33,11 @@ FAULTS = (
 )  # fmt: skip
 RATE_HZ = {"jamia": 500.0, "jamia11": 250.0}
 WINDOW_S = 0.06
-"""Longest time from a command to its execution by a motor with delay [s]."""
+"""Longest time after which a delayed motor executes a command [s]."""
 ROUNDED_N = 0.05
-"""Largest increase of a command by its rounding to twelve bits, at the tendon [N]."""
+"""Largest increase of a commanded force by its rounding to twelve bits, at the tendon [N]."""
 MARGIN_N = 3.0
-"""Margin for capstan friction and contacts, which the bound neglects [N]."""
+"""Margin of the tension bound, which neglects capstan friction and contacts [N]."""
 
 
 class Instant(NamedTuple):
@@ -54,7 +57,7 @@ def observe_instant(simulation: Simulation) -> Instant:
 
 
 def tension_bound(simulation: Simulation, decided: Instant, force: np.ndarray) -> np.ndarray:
-    """Return (N,) largest tension that rotor and stretch explain [N].
+    """Return the largest tension (N,) of each tendon that its rotor and its stretch explain [N].
 
     A rotor has the mass m at the tendon and the speed v. A force of at most F pulls it against the stiffness k of the
     tendon. From a tension T, the tension rises to at most F + sqrt((F - T)^2 + k m v^2). If the finger is free, the
@@ -88,7 +91,8 @@ def test_relaxing_raises_no_command_and_no_tension(hand_name: str, protocol: str
 
 def check_relaxing(simulation: Simulation, stop_at: int, window: int, fault: str) -> None:
     recent: list[Instant] = [observe_instant(simulation)]
-    # Earlier commands are included, because a motor with delay may execute them after the decision.
+    # Commands from before the decision to relax are included, because a delayed motor may execute
+    # them after it.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == Mode.ACTIVE:
         simulation.tick(requests=(STOP,) if simulation.k == stop_at else ())
@@ -112,7 +116,8 @@ def check_relaxing(simulation: Simulation, stop_at: int, window: int, fault: str
         now = observe_instant(simulation)
         peak = np.maximum(peak, now.tension)
         force = np.maximum(force, now.force)
-    # No drive makes more force than before the decision, even if it makes more than its command.
+    # No drive makes more force than before the decision to relax, even if it makes more than its
+    # command.
     assert (force <= np.maximum(before, 0.0) + ROUNDED_N).all(), f"{fault}: {force} after {before}"
     bound = tension_bound(simulation, decided, before)
     assert (peak <= bound).all(), f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"
@@ -123,7 +128,7 @@ def check_relaxing(simulation: Simulation, stop_at: int, window: int, fault: str
 @pytest.mark.parametrize("fault", ["cross node=index_motor with=middle_motor", "late node=index_motor size=25"])
 @pytest.mark.parametrize("seed", range(20) if NIGHTLY else [0])
 def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_digit(fault: str, seed: int) -> None:
-    """Regression: relaxing began at the last command of an unstable loop, 160 N, and a slack tendon reached 317 N."""
+    """Regression: relaxing began at the last command of an unstable loop, 160 N. A slack tendon then reached 317 N."""
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden.task()) as simulation:
         free_ticks = 0

@@ -1,4 +1,7 @@
-"""Random sequences of faults: reproducible by seed, without a broken rule, and every rule can be broken."""
+"""Test random sequences of faults.
+
+A seed reproduces a sequence, no sequence breaks a rule, and each rule can be broken.
+"""
 
 import os
 from dataclasses import replace
@@ -31,7 +34,7 @@ NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, res
 
 @pytest.fixture(scope="module")
 def simulation():
-    """Simulate a hand that arms, in slow ticks. Each test uses a copy."""
+    """Yield the simulation of a hand that is being armed at a low control rate. Each test uses a copy of it."""
     with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as simulation:
         advance_to(simulation, ARMING)
         yield simulation
@@ -65,7 +68,10 @@ def test_sequence_violates_no_rule():
 
 
 def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
-    """Only a drive that runs away explains such a tension."""
+    """The sequence has a drive that runs away.
+
+    If the rule does not count this as the reason, its tension breaks the rule.
+    """
     results = []
     sequence = Sequence(0, ARMING, (FaultStep(20, "runaway node=index_motor"),))
     for explains in (sequences.RUNAWAY, "nobody"):
@@ -121,7 +127,7 @@ def test_a_tick_with_another_result_is_found(arming):
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_random_sequences_violate_no_rule(hand, protocol):
-    """Run a third of a thousand of each kind."""
+    """Each hand with each drive protocol runs a third of a thousand random sequences."""
     described = hand_with_protocol(hand, protocol)
     results = run_sequences(described, protocol, default_rate(described), range(334), jobs=2, **NOBODY)
     assert [(one.scenario, one.problem) for one in results if not one.ok] == []

@@ -1,8 +1,8 @@
-"""A clock of the simulator that a test sets."""
+"""A clock for the simulator whose time a test sets."""
 
 
 class ManualClock:
-    """A clock that the test sets.
+    """A clock whose time a test sets.
 
     Attributes:
         t_ns: present time [ns].

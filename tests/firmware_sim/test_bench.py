@@ -1,4 +1,4 @@
-"""Drives with free shafts: their settings as delivered, and the motion of their shafts."""
+"""Test simulated drives with free shafts: their settings as delivered, and the motion of their shafts."""
 
 import math
 import struct
@@ -75,7 +75,7 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
 
 
 def speed_at(protocol: str, torque: float, kind: str = "", inertia: float | None = None) -> tuple[Bench, float]:
-    """A bench after five seconds at a torque command [N m], and its speed [rad/s]."""
+    """Return a bench after five seconds with a torque command [N m], and the speed of its shaft [rad/s]."""
     bench = Bench([drive_spec(protocol, 2, kind, inertia=inertia)])
     spec = drive_spec(protocol, 2, kind)
     code = round((torque / spec.torque_max + 1.0) / 2.0 * 4095)
@@ -89,7 +89,7 @@ def speed_at(protocol: str, torque: float, kind: str = "", inertia: float | None
 @pytest.mark.parametrize("kind", sorted(mit_bench.TYPES))
 @pytest.mark.parametrize("inertia", [None, 2e-5], ids=["free shaft", "light shaft"])
 def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(kind: str, inertia: float | None) -> None:
-    """Regression: 1 N m drove a DM4310 to 76 rad/s, and the no-load speed of this motor is 21 rad/s."""
+    """Regression: 1 N m drove a DM4310 motor to 76 rad/s, although its no-load speed is 21 rad/s."""
     shaft = mit_bench.shaft(kind)
     for sign in (1.0, -1.0):
         _, speed = speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
@@ -109,7 +109,7 @@ def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(kind: str) -> N
 
 
 def test_a_motor_makes_no_more_than_its_peak_torque() -> None:
-    """A DM4310 has a scale of 10 N m and a peak torque of 7."""
+    """A DM4310 motor takes commands up to 10 N m, but its peak torque is 7 N m."""
     bench, _ = speed_at("mit", 10.0, inertia=100.0)
     assert bench.motors[0].torque == pytest.approx(7.0, rel=0.01)
 
@@ -125,7 +125,7 @@ def test_the_torque_falls_with_the_speed() -> None:
 
 
 def send_to_odrive(bench: Bench, *messages: tuple[int, bytes]) -> None:
-    """Send messages to ODrive 3 on a bench."""
+    """Send messages to the ODrive with node number 3 on a bench."""
     for command, data in messages:
         bench.receive(Frame(3 << 5 | command, data))
 
@@ -257,7 +257,10 @@ def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFix
     [("commands", 0xD, 0x0), ("frames", 0x1, 0x0), ("always", 0xD, 0xD)],
 )
 def test_the_watchdog_of_a_damiao_motor_is_selectable(behaviour: str, polled: int, idle: int) -> None:
-    """The vendor says "no CAN commands within the interval": registers and a disabled motor are open."""
+    """The vendor's text is "no CAN commands within the interval".
+
+    It does not say whether register requests count, and whether a disabled motor has a watchdog.
+    """
     spec = drive_spec("mit", 2)
     for enabled, expected in ((True, polled), (False, idle)):
         bench = Bench([replace(spec, options={"watchdog": behaviour})])
@@ -281,7 +284,7 @@ def test_the_eds_file_and_a_drive_agree_on_the_rated_torque() -> None:
 @pytest.mark.parametrize("fault", ["", *sorted(FAULTS)])
 @pytest.mark.parametrize("protocol", sorted(PROTOCOLS))
 def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
-    """A deaf MIT motor died with OverflowError at the first remote or extended frame."""
+    """Regression: an MIT motor with the fault ``deaf`` raised OverflowError at the first remote or extended frame."""
     bench = Bench([drive_spec(protocol, 2)], fault=fault)
     specials = [b"\xff" * 7 + bytes((code,)) for code in (0xFB, 0xFC, 0xFD, 0xFE, 0xFF)]
     payloads = [b"\xff" * size for size in range(9)] + [bytes(size) for size in range(9)] + specials
@@ -295,7 +298,7 @@ def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
 
 
 def in_mode(mode: int) -> Bench:
-    """Return a bench with one enabled Damiao motor in a mode."""
+    """Return a bench with one enabled Damiao motor in a control mode."""
     bench = Bench([drive_spec("mit", 2)])
     bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", mode)))
     assert register(bench, 2, 10) == struct.pack("<I", mode)
@@ -436,7 +439,7 @@ def test_wrong_arguments_are_refused_in_one_line(words: str, expected: str, caps
 
 
 def sdo(bench: Bench, data: bytes) -> bytes:
-    """Return the last reply of CiA 402 node 33 to an SDO request."""
+    """Send an SDO request to CiA 402 node 33, and return the data of its last reply."""
     return bench.receive(Frame(0x600 + 33, data))[-1].data
 
 

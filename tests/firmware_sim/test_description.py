@@ -1,4 +1,4 @@
-"""The hand as the simulator reads it, perturbed hands, and the record of a frame."""
+"""Test how the simulator reads a hand file, hands with perturbed parameters, and the record of a frame."""
 
 import struct
 import tomllib
@@ -18,7 +18,7 @@ from handctl.hand.load import load_hand as described
 
 
 def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:
-    """Write a copy of jamia with the first occurrence of a text replaced."""
+    """Write a copy of the file of jamia with the first occurrence of a text replaced, and return its path."""
     text = described("jamia").to_toml()
     assert old in text
     path = tmp_path / "edited.toml"
@@ -62,7 +62,7 @@ def test_incomplete_hands_are_refused_in_one_line(old: str, new: str, expected: 
 
 
 def test_motors_on_two_buses(tmp_path: Path) -> None:
-    """Move the first motor to a second bus: it answers there and ignores the first bus."""
+    """The first motor is on a second bus. It replies there and ignores frames on the first bus."""
     first = write_edited_jamia(tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]')
     text = Path(first).read_text()
     head, _, tail = text.partition('name = "index_motor"')
@@ -74,7 +74,7 @@ def test_motors_on_two_buses(tmp_path: Path) -> None:
 
 
 def changed_fields(before: Any, after: Any) -> set[str]:
-    """Return the names of the fields that differ."""
+    """Return the names of the fields that differ between two objects."""
     return {field.name for field in fields(before) if getattr(before, field.name) != getattr(after, field.name)}
 
 

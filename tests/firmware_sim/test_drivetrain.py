@@ -1,4 +1,4 @@
-"""The compiled drivetrain moves as it does motor by motor, in Python, and with MuJoCo's ``mj_step``."""
+"""The compiled drivetrain moves exactly as it does motor by motor, in Python, and with MuJoCo's ``mj_step``."""
 
 import subprocess
 import sys
@@ -17,7 +17,10 @@ from firmware_sim.world import World
 
 
 def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
-    """Build a hand that closes on a cylinder. Tendons are slack, then taut. Motors follow a torque or a position."""
+    """Build a simulated hand that closes on a cylinder.
+
+    Its tendons are slack at first and then taut. Some motors follow a torque, others a position.
+    """
     plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
     if not native:
         plant._addresses = None
@@ -29,7 +32,7 @@ def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
 
 
 def state(plant: Plant) -> list[str]:
-    """Return every number of the motion, to the last bit."""
+    """Return all numbers of a hand's motion as texts that are exact to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
@@ -39,7 +42,7 @@ def state(plant: Plant) -> list[str]:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
-    """Compare steps in a block, one by one, with the bindings' step function, and in Python."""
+    """Steps in a block, single steps, steps by MuJoCo's bindings, and steps in Python give equal bits."""
     block, single = closing(hand), closing(hand)
     bindings, plain = closing(hand, native=False), closing(hand, compiled=False)
     block.advance(401)
@@ -53,7 +56,7 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
 
 
 def test_compiled_and_python_worlds_send_equal_frames() -> None:
-    """Include a fault in a motor, in a load cell, and on the wire."""
+    """The frames are equal even with faults in a motor, in a load cell and in an encoder."""
     worlds = [
         World(load_hand("jamia"), load_scene("cylinder"), seed=4, compiled=compiled) for compiled in (True, False)
     ]
@@ -86,7 +89,7 @@ def test_the_engine_has_native_addresses() -> None:
 
 
 def test_the_world_steps_in_blocks_between_events() -> None:
-    """Check that truth rows, watchdogs and temperatures come at their time in a long advance."""
+    """One long advance ends as many short ones. Motion and the times of watchdogs are equal."""
     far, near = (World(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2))
     far.advance(250_250_000)
     for k in range(1, 251):
@@ -98,7 +101,7 @@ def test_the_world_steps_in_blocks_between_events() -> None:
 
 
 def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
-    """Check that a sample at any rate belongs to its exact time and does not change the motion."""
+    """A step that is divided for samples at exact times changes the motion only slightly."""
     whole, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
     for plant in (whole, divided):
         for motor in plant.motors.values():
@@ -120,7 +123,10 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
-    """Check rates that are no multiple of the step. The last whole step would be 5 encoder counts early at 3 rad/s."""
+    """This holds at rates that are no multiple of the step.
+
+    A sample from the last whole step would be 5 encoder counts early at 3 rad/s.
+    """
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = World(load_hand(hand), load_scene(None), seed=2)
         motor = next(iter(world.plant.motors.values()))
@@ -135,7 +141,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
 
 
 def test_samples_between_steps_do_not_move_the_rows_of_the_truth_file(tmp_path: Path) -> None:
-    """Check rows of every millisecond at any rate, also with a fault injected within a step."""
+    """The truth file has a row for every millisecond at any rate, also if a fault is injected within a step."""
     path = tmp_path / "truth"
     rig = Rig("jamia", truth_path=str(path), period_ns=3_333_333)
     for k in range(30):

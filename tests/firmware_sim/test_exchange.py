@@ -1,4 +1,7 @@
-"""A tick's frames as records: the compiled kernel does what the nodes do with one frame after the other."""
+"""Test the frames of a tick as records.
+
+For them, the compiled kernel does the same as the nodes do for one frame after the other.
+"""
 
 import random
 import re
@@ -29,7 +32,10 @@ OPTIONS = {
 
 
 def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
-    """Write the packaged hand with other drives, the last two of them on a second bus if there are two."""
+    """Write the file of the packaged hand with other drives, and return its path.
+
+    With two buses, two drives are on the second.
+    """
     text = described("jamia").to_toml()
     head, *motors = text.split("[[motor]]")
     for i, motor in enumerate(motors):
@@ -44,7 +50,7 @@ def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
 
 
 def start(protocol: str, node: int) -> list[tuple[int, bytes]]:
-    """Return the frames that make a drive follow torques."""
+    """Return the frames that set up a drive and enable it to follow torque commands."""
     if protocol == "mit":
         return [(0x7FF, struct.pack("<HBBI", node, 0x55, 9, 4000)), (node, b"\xff" * 7 + b"\xfc")]
     if protocol == "odrive":
@@ -62,7 +68,7 @@ def start(protocol: str, node: int) -> list[tuple[int, bytes]]:
 
 
 def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
-    """Return the frames of a tick for a drive."""
+    """Return the frames that a host sends to an enabled drive in tick k."""
     fraction = 0.2 + 0.1 * ((k // 20) % 3)
     if protocol == "mit":
         code = round((0.8 * fraction + 0.8) * 4095 / 1.6)
@@ -73,7 +79,7 @@ def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
 
 
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
-    """Return the frames that arrive in place of one frame."""
+    """Return the frames that arrive in place of one sent frame. They are rarely lost, repeated or changed."""
     can_id, data, flags, bus, t_ns = frame
     other = [
         [],
@@ -91,7 +97,10 @@ def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
 
 
 def stream(protocols: tuple[str, ...], ticks: int, seed: int, buses: int = 1) -> Iterator[list[Frame]]:
-    """Yield the frames of each tick: set-up, then commands, some of them disturbed unless the seed is 0."""
+    """Yield the frames of each tick: first the set-up of the drives, then commands.
+
+    Some are disturbed unless the seed is 0.
+    """
     rng = random.Random(seed)
     drives = [(protocols[i % len(protocols)], FIRST_NODE + i, int(buses == 2 and i >= 2)) for i in range(4)]
     for k in range(ticks):
@@ -113,7 +122,7 @@ CASES = [
 def test_the_kernel_answers_as_the_nodes_do(protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path) -> None:
     hand = hand_file(tmp_path, protocols, buses)
     rigs = [Rig(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")]
-    rigs[1].world.faults.in_frames = True  # every frame goes through the Python nodes
+    rigs[1].world.faults.in_frames = True  # use the Python nodes for every frame
     count = 0
     for k, frames in enumerate(stream(protocols, 400, seed, buses)):
         answers, nodes = (rig.step(k * TICK_NS, frames) for rig in rigs)

@@ -1,4 +1,4 @@
-"""Faults as a schedule: parsed, started and ended in time, with counted effects, and reproducible."""
+"""Test scheduled faults. They are parsed, start and end in time, count their effects, and are reproducible."""
 
 import contextlib
 
@@ -19,7 +19,7 @@ def rig(seed=0):
 
 
 def answers_of_ticks(world, ticks, frames=(REFRESH,)):
-    """Return the answers of a number of ticks, each with a SYNC."""
+    """Run ticks with a SYNC and given frames in each, and return the replies of each tick."""
     answers = []
     for _ in range(ticks):
         k = world.world.t_ns // 2_000_000
@@ -54,7 +54,7 @@ def test_wrong_faults_are_refused_in_one_line(text, words):
 
 
 def second(kind: str, index: int) -> str:
-    """Return the second motor of a kind that needs two."""
+    """Return the text with the second motor of a fault, empty for a kind of fault that needs one motor."""
     return f" with={HAND.motors[index].name}" if kind in TWO_MOTOR_KINDS else ""
 
 
@@ -95,7 +95,10 @@ def test_every_fault_has_an_effect_and_ends(text):
 
 @pytest.mark.parametrize("text", LAST_INSTANCES)
 def test_no_size_of_any_fault_ends_the_simulator(text):
-    """Try the last instance of each kind, which is the sensor node if possible, with sizes from small to absurd."""
+    """Each kind of fault is tried with sizes from small to absurd.
+
+    Its part is the last one possible, which is the sensor node for some kinds.
+    """
     run = rig()
     for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):
         with contextlib.suppress(SimulatorError):
@@ -153,7 +156,7 @@ MANY = (
 
 
 def test_blocks_of_steps_end_at_every_event():
-    """Advance one hand tick by tick, in blocks between events, and the other hand step by step."""
+    """A hand that advances in blocks of steps has the frames, faults and motion of one that advances step by step."""
 
     def run(step_ns):
         hand_rig = rig()

@@ -1,4 +1,7 @@
-"""The hub gives every client the records of all others, keeps records whole, and never waits for a client."""
+"""Test the hub of the local bus.
+
+It gives every client the records of all others, keeps records whole, and never waits for a client.
+"""
 
 import os
 import select
@@ -21,7 +24,7 @@ CLASSICAL, FD = 0, 4
 
 
 def record(can_id: int, data: bytes, flags: int = CLASSICAL, dropped: int = 0) -> bytes:
-    """Return a ``struct canfd_frame`` written out by hand."""
+    """Return the bytes of the kernel's ``struct canfd_frame``, built without its code."""
     head = can_id.to_bytes(4, "little") + bytes((len(data), flags)) + dropped.to_bytes(2, "little")
     return head + data + bytes(64 - len(data))
 
@@ -39,7 +42,7 @@ def hub() -> Iterator[Hub]:
 
 
 def settle(hub: Hub) -> bytes:
-    """Serve until no socket is ready, and return the records for the owner."""
+    """Let the hub serve until no socket is ready, and return the records for the owner of the hub."""
     received = b""
     while ready := select.select(hub.readers(), [], [], 0.0)[0]:
         received += hub.serve(ready)
@@ -107,7 +110,7 @@ def test_the_senders_reserved_bytes_do_not_look_like_drops(hub: Hub, client: Cal
 
 
 def numbers(data: bytes) -> list[tuple[int, int]]:
-    """Return sequence number and drop count of each record."""
+    """Return the sequence number and the drop count in each of several records."""
     assert len(data) % SIZE == 0
     rows = struct.iter_unpack("<4xBBHI60x", data)
     return [(number, dropped) for _, _, dropped, number in rows]
@@ -119,14 +122,14 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     reader, idle = client(), client()
     total, batch = 0, 1000
     received: list[tuple[int, int]] = []
-    while hub.dropped < 70_000:  # more than the counter in a record can hold
+    while hub.dropped < 70_000:  # more than a record's counter can hold
         hub.send(b"".join(record(5, number.to_bytes(4, "little")) for number in range(total, total + batch)))
         total += batch
         received += numbers(read_all(reader))
     assert received == [(number, 0) for number in range(total)]
 
     read = read_all(idle)
-    hub.serve([])  # completes a record that was begun
+    hub.serve([])  # completes a partly sent record
     read += read_all(idle)
     rows = numbers(read)
     assert rows == [(number, 0) for number in range(len(rows))], "the first records are kept, complete and in order"
@@ -141,7 +144,7 @@ def test_an_incomplete_record_is_completed_before_the_next(hub: Hub, client: Cal
     while not hub.writers():
         hub.send(batch)
         assert hub.dropped < 1_000_000, "the kernel accepted no part of a record"
-        batch += record(0, b"")  # another length, so that the cut is at another byte
+        batch += record(0, b"")  # so that the kernel cuts at another byte
     dropped = hub.dropped
     hub.send(record(1, b"while one is half sent"))
     assert hub.dropped == dropped + 1

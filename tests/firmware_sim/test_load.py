@@ -1,4 +1,4 @@
-"""A load on the object, and the grip measured while it grows."""
+"""Test a growing load on a grasped object, and the measurement of the grip under this load."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""MIT frames against bit strings written from the fact sheet."""
+"""Compare frames of the MIT protocol with bit strings that were written from the fact sheet."""
 
 import os
 import subprocess
@@ -17,7 +17,7 @@ RANGES = Ranges(12.5, 50.0, 0.8)
 
 
 def bits(*fields: tuple[int, int]) -> bytes:
-    """Pack (value, width) fields, the first into the highest bits, as a string of binary digits."""
+    """Pack fields (value, width) into bytes by a string of binary digits. The first field has the highest bits."""
     text = "".join(format(value, f"0{width}b") for value, width in fields)
     return bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
 
@@ -26,7 +26,7 @@ def test_the_command_of_zeros_that_every_client_sends() -> None:
     command = decode_command(bytes.fromhex("7fff7ff0000007ff"), RANGES)
     assert command.kp == 0.0
     assert command.kd == 0.0
-    # zero has no code: half a step below
+    # Zero has no code. The nearest code is half a step below zero.
     assert command.position == pytest.approx(-12.5 / 65535)
     assert command.velocity == pytest.approx(-50.0 / 4095)
     assert command.torque == pytest.approx(-0.8 / 4095)
@@ -79,7 +79,10 @@ MOTION = st.tuples(*[st.floats(-60.0, 60.0)] * 3)
 
 @given(st.integers(0, 255), MOTION, st.floats(-50.0, 300.0), st.integers(0, 2**64 - 1))
 def test_compiled_kernels_equal_python(head: int, motion: tuple[float, ...], degrees: float, word: int) -> None:
-    """Compare with the module's functions as well, which are Python unless another test compiled them."""
+    """The functions of the module give the same values too.
+
+    They are Python functions unless another test has compiled them.
+    """
     kernels, signed = machine_code(mit_codec), word - (word >> 63 << 64)
     feedback = (head, *motion, *RANGES, degrees, degrees)
     word_of_python = mit_codec.write_feedback(*feedback)

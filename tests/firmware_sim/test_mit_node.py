@@ -1,4 +1,7 @@
-"""The simulated Damiao motor: states, registers, watchdog. The oracle is the fact sheet."""
+"""Test the simulated Damiao motor: its states, registers and watchdog.
+
+The expected behaviour is that of the fact sheet.
+"""
 
 import struct
 
@@ -17,7 +20,7 @@ FULL_TORQUE = bytes.fromhex("7fff7ff000000fff")
 
 
 class Bench:
-    """One motor on a bench with a free spool, in steps of 0.5 ms."""
+    """One motor with a free spool that is simulated in steps of 0.5 ms."""
 
     def __init__(self) -> None:
         self.motor = Motor(SPEC, 0.5e-3)
@@ -43,7 +46,7 @@ class Bench:
         return self.node.state
 
     def special(self, code: int) -> int:
-        """Send a special command and return the state nibble of the answer."""
+        """Send a special command to the motor, and return the state bits of its reply."""
         return self.ask(b"\xff" * 7 + bytes([code]))[0] >> 4
 
     def register(self, operation: int, number: int, value: bytes = bytes(4)) -> bytes:
@@ -193,7 +196,8 @@ def test_the_servo_holds_a_position(bench: Bench) -> None:
     word = code << 48 | 2047 << 36 | kp << 24 | kd << 12 | 2047
     bench.ask(word.to_bytes(8, "big"))
     bench.run(1000)
-    # offset 0.1 rad; Coulomb friction 0.015 N m over 5 N m/rad leaves up to 3 mrad
+    # The encoder has an offset of 0.1 rad. Coulomb friction of 0.015 N m at 5 N m/rad leaves an
+    # error of up to 3 mrad.
     assert bench.motor.theta == pytest.approx(1.0, abs=4e-3)
 
 

@@ -1,4 +1,4 @@
-"""Position, velocity and homing modes of the simulated drives: limits, ramps, trajectories, mode changes."""
+"""Test position, velocity and homing modes of simulated drives: limits, ramps, trajectories and changes of mode."""
 
 import itertools
 import math
@@ -19,7 +19,7 @@ TURN = math.tau
 
 
 def sample_each_ms(bench: Bench, for_s: float, value: Callable[[], float]) -> list[float]:
-    """Advance a bench and return a value in each millisecond."""
+    """Advance a bench for a time, and return a value that is read in each millisecond."""
     values = []
     for _ in range(round(for_s * 1000)):
         bench.advance(bench.t_ns + MS)
@@ -28,7 +28,7 @@ def sample_each_ms(bench: Bench, for_s: float, value: Callable[[], float]) -> li
 
 
 def largest_acceleration(velocities: list[float], over_ms: int = 20) -> float:
-    """Return the largest acceleration [unit/s2] over some milliseconds."""
+    """Return the largest acceleration [unit/s2] in velocities of each millisecond. It is a mean over ``over_ms``."""
     pairs = zip(velocities, velocities[over_ms:], strict=False)
     return max(abs(after - before) for before, after in pairs) * 1000 / over_ms
 
@@ -67,11 +67,11 @@ def test_a_trapezoid_turns_round_for_a_new_target() -> None:
     assert -2.0 <= fastest < -1.0
 
 
-# Damiao
+# Modes of a Damiao motor.
 
 
 def damiao(mode: int) -> Bench:
-    """Return a bench with an enabled motor in a mode."""
+    """Return a bench with an enabled Damiao motor in a control mode."""
     bench = Bench([drive_spec("mit", 2)])
     write_register(bench, 10, struct.pack("<I", mode))
     bench.receive(Frame(2, b"\xff" * 7 + b"\xfc"))
@@ -97,7 +97,7 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(sign: int) ->
     assert speeds[500] == pytest.approx(4.0 * 0.5, rel=0.1)
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
-    # 3 rad/s: 0.75 s and 1.125 m to speed, 1.5 s and 2.25 m from it.
+    # To 3 rad/s the motor takes 0.75 s and 1.125 rad, and from there to rest 1.5 s and 2.25 rad.
     assert sample_each_ms(bench, 1.0, lambda: sign * motor.theta)[-1] == pytest.approx(6.0, abs=0.01)
 
 
@@ -156,7 +156,7 @@ def test_a_blocked_damiao_motor_holds_the_current_of_force_position_mode() -> No
 
 
 def test_a_damiao_motor_changes_its_mode_while_enabled() -> None:
-    """The old setpoint ends, the motor coasts until a command of the new mode."""
+    """A change of mode ends the old set-point. The motor coasts until it gets a command of the new mode."""
     bench = damiao(3)
     motor = bench.motors[0]
     bench.receive(Frame(0x202, struct.pack("<f", 5.0)))
@@ -184,11 +184,11 @@ def test_the_watchdog_of_a_damiao_motor_ends_a_motion() -> None:
     assert bench.receive(Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)))[-1].data[0] >> 4 == 0xD
 
 
-# ODrive
+# Modes of an ODrive.
 
 
 def odrive(control: int, input_mode: int, *messages: tuple[int, bytes], inertia: float | None = None) -> Bench:
-    """Return a bench with ODrive 3 in closed loop."""
+    """Return a bench with an ODrive (node 3) in closed-loop control, after given messages."""
     bench = Bench([drive_spec("odrive", 3, inertia=inertia)])
     send(bench, (0x0B, struct.pack("<II", control, input_mode)), *messages, (0x07, struct.pack("<I", 8)))
     return bench
@@ -204,7 +204,7 @@ def write_endpoint(bench: Bench, endpoint: int, value: float) -> None:
 
 
 def next_heartbeat(bench: Bench) -> tuple[int, int, int]:
-    """Return errors, axis state and the trajectory flag of the next heartbeat."""
+    """Return the errors, the axis state and the trajectory flag in the next heartbeat of the ODrive."""
     bench.take_unsolicited()
     bench.advance(bench.t_ns + 200 * MS)
     data = [frame.data for frame in bench.take_unsolicited() if frame.can_id == 3 << 5 | 1][-1]
@@ -243,7 +243,8 @@ def test_the_position_filter_of_an_odrive_does_not_overshoot() -> None:
     write_endpoint(bench, 207, 4.0)
     send(bench, (0x0C, struct.pack("<fhh", 1.0, 0, 0)))
     angles = sample_each_ms(bench, 4.0, lambda: bench.motors[0].theta / TURN)
-    # Critically damped with time constant 1 / bandwidth: 1 - (1 + 4 t) exp(-4 t).
+    # The filter is critically damped with the time constant 1 / bandwidth, so its step response is
+    # 1 - (1 + 4 t) exp(-4 t).
     assert angles[499] == pytest.approx(1.0 - 3.0 * math.exp(-2.0), abs=0.03)
     assert max(angles) < 1.02
     assert angles[-1] == pytest.approx(1.0, abs=0.005)
@@ -254,7 +255,8 @@ def test_a_trajectory_of_an_odrive_has_ramps_and_says_when_it_is_done() -> None:
     bench = odrive(3, 5, *limits)
     motor = bench.motors[0]
     send(bench, (0x0C, struct.pack("<fhh", 3.0, 0, 0)))
-    # To speed in 1 s over 0.5 turns, 1.5 turns at speed, from speed in 2 s over 1 turn: 4.5 s.
+    # The trajectory takes 1 s and 0.5 turns to reach its speed, 1.5 turns at this speed, and 2 s
+    # and 1 turn to rest, in all 4.5 s.
     speeds = sample_each_ms(bench, 1.0, lambda: motor.omega / TURN)
     assert speeds[499] == pytest.approx(0.5, rel=0.05)
     assert next_heartbeat(bench)[2] == 0
@@ -312,13 +314,16 @@ def test_an_odrive_keeps_its_gains_and_limits_when_they_are_impossible() -> None
     assert bench.nodes[0].motion.settings == before  # type: ignore[attr-defined]
 
 
-# CiA 402
+# Modes of a CiA 402 drive.
 
 COUNTS = 1 << 16
 
 
 def cia402(mode: int, *objects: tuple[int, int, int, int], **options: object) -> Bench:
-    """Return a bench with drive 33 enabled in a mode, after writes of (index, sub-index, value, size)."""
+    """Return a bench with an enabled CiA 402 drive (node 33) in a mode.
+
+    ``objects`` (index, sub-index, value, size) are written before it is enabled.
+    """
     spec = drive_spec("cia402", 33)
     bench = Bench([replace(spec, options={**spec.options, **options})])
     write_object(bench, 0x6060, 0, mode, 1)
@@ -334,7 +339,7 @@ def sdo(bench: Bench, data: bytes) -> bytes:
 
 
 def write_object(bench: Bench, index: int, sub: int, value: int, size: int) -> int:
-    """Write an object and return the abort code, 0 without one."""
+    """Write an object of the drive by SDO, and return the abort code, or 0 if there is none."""
     raw = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little").ljust(4, b"\0")
     reply = sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + raw)
     return int.from_bytes(reply[4:], "little") if reply[0] == 0x80 else 0
@@ -347,7 +352,7 @@ def read_object(bench: Bench, index: int, sub: int = 0) -> int:
 
 
 def control(bench: Bench, word: int) -> int:
-    """Write a control word and return the status word ten milliseconds later."""
+    """Write a control word to the drive, and return its status word ten milliseconds later."""
     write_object(bench, 0x6040, 0, word, 2)
     bench.advance(bench.t_ns + 10 * MS)
     return read_object(bench, 0x6041)
@@ -355,7 +360,8 @@ def control(bench: Bench, word: int) -> int:
 
 def test_a_cia402_drive_lists_its_modes() -> None:
     bench = Bench([drive_spec("cia402", 33)])
-    # Bit n - 1 is mode n: profile position, homing, and the three cyclic modes.
+    # Bit n - 1 stands for mode n. The modes are profile position, homing, and the three cyclic
+    # modes.
     assert read_object(bench, 0x6502) == sum(1 << mode - 1 for mode in (1, 6, 8, 9, 10))
     for mode, shown in ((1, 1), (6, 6), (8, 8), (9, 9), (10, 10), (3, 0), (-1, 0)):
         write_object(bench, 0x6060, 0, mode, 1)
@@ -424,7 +430,8 @@ def test_a_profile_position_has_ramps_and_says_when_it_is_reached() -> None:
     word = control(bench, 0x1F)
     assert word & (1 << 12 | 1 << 10) == 1 << 12, "the target is acknowledged and not reached"
     assert not control(bench, 0x0F) & 1 << 12
-    # 1 turn/s with 1 and 0.5 turn/s2: 1 s up, 1.5 s at speed, 2 s down.
+    # The speed is 1 turn/s, reached with 1 turn/s2 and left with 0.5 turn/s2. This takes 1 s, 1.5 s
+    # at the speed, and 2 s.
     speeds = sample_each_ms(bench, 4.6, lambda: motor.omega / TURN)
     assert speeds[480] == pytest.approx(0.5, rel=0.05)
     assert max(speeds) < 1.02

@@ -1,4 +1,4 @@
-"""The rotor against closed forms."""
+"""Compare the motion of the simulated rotor with closed-form solutions."""
 
 import math
 from dataclasses import replace
@@ -57,7 +57,7 @@ def test_friction_stops_a_fast_rotor_without_reversing_it() -> None:
         speeds.append(motor.omega)
     assert min(speeds) >= 0.0
     assert speeds[-1] < 1e-6
-    # Coulomb and viscous: t = J/b ln(1 + b w / tau_c)
+    # With Coulomb and viscous friction, the time to rest is t = J/b ln(1 + b w / tau_c).
     exact = SPEC.inertia / SPEC.viscous * math.log(1 + SPEC.viscous * 10.0 / SPEC.coulomb)
     assert np.argmax(np.array(speeds) < COULOMB_SPEED) * STEP == pytest.approx(exact, rel=0.05)
 
@@ -129,7 +129,7 @@ def test_the_encoder_has_fourteen_bits() -> None:
 
 @pytest.mark.parametrize("torque", [-0.03, 0.045])
 def test_friction_does_not_add_inertia(torque: float) -> None:
-    """Check that a turning rotor accelerates by torque less friction over its inertia, at any speed."""
+    """A turning rotor accelerates by torque minus friction, divided by its inertia, at any speed."""
     motor = Motor(replace(SPEC, viscous=0.0), STEP)
     motor.omega, motor.torque = 2.0, torque
     motor.servo.torque, motor.servo.limit = torque, 1.0

@@ -1,4 +1,4 @@
-"""The plant against statics and kinematics computed by hand."""
+"""Compare the simulated hand with statics and kinematics that were computed by hand."""
 
 import math
 from dataclasses import replace
@@ -24,13 +24,13 @@ def free(factors: dict[str, float] | None = None, hand: Hand = JAMIA, homed: boo
 
 
 def lock_joints() -> Hand:
-    """Return the hand with all joints between two stops a hundredth of a degree apart."""
+    """Return a hand with locked joints. The stops of each joint are a hundredth of a degree apart."""
     digits = [replace(digit, joint_max_deg=(0.01,) * len(digit.length)) for digit in JAMIA.digits]
     return replace(JAMIA, digits=digits)
 
 
 def pull(plant: Plant, torque: float, seconds: float, ramp: float = 0.3) -> None:
-    """Ramp all motors to a torque [N m] and hold it."""
+    """Raise the torque of all motors to a value [N m] in a ramp, and hold it."""
     start = [motor.servo.torque for motor in plant.motors.values()]
     steps = round(seconds * 2000)
     for i in range(steps):
@@ -49,7 +49,10 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 
 @pytest.mark.parametrize("tension", [8.0, 10.0, 12.0])
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
-    """Check r f = k (q + q0) without friction: all joints have the same angle. Gravity is along the hinges."""
+    """Without friction r f = k (q + q0) holds at each joint, so all angles are equal.
+
+    Gravity is parallel to the hinges.
+    """
     plant = free({"friction": 0.0})
     pull(plant, tension * 0.005, 2.0)
     assert plant.tensions() == pytest.approx([tension] * 4, rel=1e-3)
@@ -58,7 +61,7 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
 
 def test_excursion_and_stretch_add_up() -> None:
-    """Check r_a theta = sum r q + f/k, without friction and at rest."""
+    """Without friction and at rest, the travel of the spool is r_a theta = sum r q + f/k."""
     plant = free({"friction": 0.0})
     pull(plant, 14.0 * 0.005, 2.0)
     index = plant.motors["index_motor"].theta
@@ -89,7 +92,7 @@ def test_a_slack_tendon_makes_no_force() -> None:
 
 
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
-    """Check with locked joints that the tension follows the spool by k r."""
+    """With locked joints, the tension changes by k r for each radian of the spool."""
     plant = free({"friction": 0.0}, lock_joints())
     pull(plant, 0.25, 2.0)
     low, theta_low = plant.tensions()[0], plant.motors["index_motor"].theta
@@ -105,7 +108,7 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
 
 def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
-    """Check sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
+    """The frequency is sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
     plant = free({"friction": 0.0, "damping": 0.1}, lock_joints())
     pull(plant, 0.25, 0.6)
     motor = plant.motors["index_motor"]
@@ -132,7 +135,7 @@ def link_frames(plant: Plant) -> Any:
 
 
 def test_forward_kinematics_of_the_links() -> None:
-    """Check that fingers flex towards -y and the thumb towards +y, all in planes of constant z."""
+    """The fingers flex towards -y and the thumb towards +y. All move in planes of constant z."""
     plant = free()
     q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
     plant.engine.set_joints(q, [0.0] * 11)
@@ -153,7 +156,7 @@ def test_the_thumb_alone_is_opposed() -> None:
 
 
 def test_eleven_motors_move_joints_one_by_one() -> None:
-    """Check in jamia11 that a finger's last tendon closes all its joints, and its first tendon the first joint only."""
+    """In jamia11, the first tendon of a finger moves only the first joint."""
     hand = load_hand("jamia11")
     plant = free({"friction": 0.0}, hand)
     motors = [motor.name for motor in hand.motors]
@@ -177,7 +180,7 @@ def test_a_diverging_plant_is_an_error() -> None:
 
 
 def closing(monkeypatch: pytest.MonkeyPatch, step_s: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return joint angles every 5 ms while the free hand closes to 12 N in 0.4 s, with a plant step [s]."""
+    """Return the joint angles every 5 ms while a free hand closes to 12 N in 0.4 s. The time step [s] is given."""
     monkeypatch.setattr("firmware_sim.plant.plant.STEP_S", step_s)
     monkeypatch.setattr(
         "firmware_sim.plant.plant.model_text",
@@ -194,7 +197,7 @@ def closing(monkeypatch: pytest.MonkeyPatch, step_s: float) -> np.ndarray[tuple[
 
 
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Check the first-order integration of tendons, friction and rotors: the error is small and falls with the step."""
+    """The first-order integration of tendons, friction and rotors has a small error, which falls with the time step."""
     exact = closing(monkeypatch, 0.05e-3)
     errors = [np.degrees(np.sqrt(((closing(monkeypatch, step) - exact) ** 2).mean())) for step in (0.5e-3, 0.1e-3)]
     assert np.degrees(exact[-1].min()) > 12.0, "the digit closed"

@@ -1,4 +1,4 @@
-"""The simulator as a process: a ready line, a bus, a truth file and an orderly end."""
+"""Test the simulator as a process. It prints a ready line, serves a bus, writes a truth file, and ends in order."""
 
 import json
 import select
@@ -30,7 +30,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def start(run_folder: Path) -> Iterator[Start]:
-    """Start ``python -m firmware_sim`` and wait for its ready line."""
+    """Yield a function that starts ``python -m firmware_sim`` and waits for its ready line."""
     processes = []
 
     def launch(*words: str) -> "subprocess.Popen[str]":
@@ -71,7 +71,7 @@ def attach(path: Path) -> socket.socket:
 
 
 def ask(link: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
-    """Send one frame and return the record of its answer."""
+    """Send one frame to the simulator, and return the record of its reply."""
     link.sendall(record(can_id, data, flags))
     answer = link.recv(72, socket.MSG_WAITALL)
     assert len(answer) == 72

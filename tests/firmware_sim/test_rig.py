@@ -1,4 +1,4 @@
-"""A whole simulated hand in lockstep, moved by frames written byte by byte."""
+"""Test a whole simulated hand in lockstep. It is moved by frames that are written byte by byte."""
 
 import math
 import struct
@@ -23,7 +23,7 @@ def frame(can_id: int, data: bytes) -> Sent:
 
 
 def command(torque: float) -> bytes:
-    """Return a pure torque command for TMAX = 0.8 N m."""
+    """Return the bytes of a command with only a torque, for the range TMAX = 0.8 N m."""
     return (0x7FFF << 48 | 0x7FF << 36 | round((torque + 0.8) * 4095 / 1.6)).to_bytes(8, "big")
 
 
@@ -36,7 +36,7 @@ def tick(rig: Rig, k: int, torque: float) -> list[Frame]:
 
 
 def close(rig: Rig, tension: float, seconds: float, ramp: float = 0.8) -> list[list[Frame]]:
-    """Enable, then ramp all motors to a tension [N] and hold it, open loop."""
+    """Enable all motors, raise them in a ramp to a tension [N] and hold it, without feedback. Return the replies."""
     answers = [rig.step(0, [frame(motor, ENABLE) for motor in MOTORS])]
     for k in range(1, round(seconds * 500)):
         answers.append(tick(rig, k, 0.005 * tension * min(1.0, k / 500 / ramp)))
@@ -89,7 +89,7 @@ def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:
     for k in range(200, 240):
         rig.step(k * TICK_NS, [sync(k)])
         torque.append(rig.world.plant.motors["index_motor"].torque)
-    # the last command came at tick 199, so the timeout of 50 ms ends at tick 224
+    # The last command was sent in tick 199, so the watchdog time of 50 ms ends in tick 224.
     assert all(value == pytest.approx(torque[0], rel=1e-6) for value in torque[:24])
     assert abs(torque[26]) < 1e-3
     answers = tick(rig, 240, 0.1)
@@ -159,10 +159,10 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
     assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
     assert len(truth.t_ns) == 500
     assert np.isfinite(truth.values).all()
-    # the speed and the angle of a row belong to the same time: dq is the slope of q
+    # Speed and angle of a row belong to the same time, so dq is the slope of q.
     q, dq = truth.column("q/index_j1"), truth.column("dq/index_j1")
     assert q[-1] - q[0] == pytest.approx(float(np.sum(dq[1:] + dq[:-1]) / 2 * 1e-3), abs=5e-3)
-    # the load cell reads the true tension with noise
+    # The true tension is near the tension of the motor command.
     assert truth.column("tension/index_tendon")[-1] == pytest.approx(20.0, abs=4.0)
 
 
@@ -174,7 +174,7 @@ def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
     tension = read_truth(path).column("tension/index_tendon")
     read = [(int.from_bytes(tick[0].data, "little") >> 4 & 0xFFF) * 0.0625 - 6.0 for tick in answers[1:]]
     error = np.array(read) - tension[2::2][: len(read)]
-    # tolerance: half a count, and the drift of one second
+    # The tolerance is half a count of the load cell, plus its drift in one second.
     assert np.abs(error).max() < 0.03125 + 0.6
     assert np.std(np.diff(error)) < 0.05
 

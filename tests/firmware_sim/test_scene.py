@@ -1,4 +1,4 @@
-"""Scenes: packaged, shorthand, files, and errors in them."""
+"""Test scenes of the simulator: packaged ones, their short form, scene files, and errors in them."""
 
 from pathlib import Path
 

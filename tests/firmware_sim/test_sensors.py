@@ -1,4 +1,4 @@
-"""The sensor node: packing against bit strings, noise against statistics."""
+"""Test the simulated sensor node. Its packed frames are compared with bit strings, and its noise with statistics."""
 
 import math
 import random
@@ -26,7 +26,10 @@ def node(spec: SensorSpec = ELEVEN, tension: float = 20.0, angle: float = 0.5, s
 
 
 def channels(data: bytes) -> tuple[int, list[int]]:
-    """Return the counter and the 12-bit channels of a payload, read from a string of binary digits, lowest first."""
+    """Return the counter and the 12-bit channels of a payload.
+
+    They are read from a string of binary digits, the lowest digit first.
+    """
     text = "".join(format(byte, "08b")[::-1] for byte in data)
     count = (len(text) - 4) // 12
     return int(text[:4][::-1], 2), [int(text[4 + 12 * i : 16 + 12 * i][::-1], 2) for i in range(count)]
@@ -42,8 +45,8 @@ def test_payloads_are_packed_as_on_the_wire(counter: int, codes: list[int]) -> N
 
 
 def test_a_frame_is_packed_byte_by_byte() -> None:
-    # counter 5; 0 N = 96, 110 N = 1856, saturated 4095
-    # nibbles from the lowest: 5, 060, 740, fff
+    # The counter is 5, 0 N is 96, 110 N is 1856, and a saturated cell is 4095. The hexadecimal
+    # digits from the lowest are 5, 060, 740, fff.
     assert pack(0x35, [96, 1856, 4095]) == bytes.fromhex("050640f7ff")
 
 

@@ -1,4 +1,7 @@
-"""The real-time server against a manual clock: it answers at once, follows the clock, and slips in an orderly way."""
+"""Test the server of the simulator for real time on a clock that tests set.
+
+It replies at once, follows the clock, and slips in an orderly way if it is too slow.
+"""
 
 import socket
 from collections.abc import Collection
@@ -25,7 +28,7 @@ STATE_ENABLED, STATE_LOST = 1, 0xD
 
 
 class FakePort:
-    """A port with frames from and for the test."""
+    """A port of a bus. A test gives it frames and reads the frames that are sent to it."""
 
     due_ns = 1 << 62
 
@@ -56,7 +59,7 @@ class Bench:
         self.server = Server(self.world, [self.wire], self.clock)
 
     def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
-        """Set the clock, make one turn, and return the frames that were sent."""
+        """Set the clock, let the server run one turn with given frames, and return the frames that it sent."""
         self.clock.t_ns = START + round(t_ms * MS)
         self.wire.coming, self.wire.sent = list(frames), []
         self.server.turn()
@@ -80,7 +83,10 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: Bench) -> None:
 
 
 def test_a_frame_samples_the_plant_at_its_exact_time(bench: Bench) -> None:
-    """Check that the sample is not from the last whole step, up to 0.5 ms before, and that steps stay in place."""
+    """The sample is not that of the last whole step, which may be 0.5 ms older.
+
+    The times of the steps do not change.
+    """
     bench.turn(3.7, Frame(1, ENABLE))
     assert bench.world.t_ns == START + round(3.7 * MS)
     assert bench.world.plant.part_ns == round(0.2 * MS)
@@ -115,7 +121,10 @@ def test_progress_is_reported_to_a_controller_on_the_same_clock(bench: Bench) ->
 
 
 def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
-    """A frame that arrives during a turn is answered in the next turn."""
+    """The server reports a tick as answered only if no frame waits.
+
+    A frame that arrives during a turn gets its reply in the next turn.
+    """
     port = HubPort("t", 0)
     clock = ManualClock(START)
     server = Server(World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START), [port], clock)
@@ -141,14 +150,17 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
 
 
 def test_an_answer_waits_for_one_stride_at_most(bench: Bench) -> None:
-    """Check a case where catching up 10 ms took 2 ms of computing, and the answer came after the next SYNC."""
+    """Regression: the server caught up 10 ms before it replied.
+
+    This took 2 ms, so the reply came after the next SYNC.
+    """
     sent = bench.turn(30, Frame(0x80, b"\x05"))
     assert [frame.can_id for frame in sent] == [0x1A0]
     assert bench.world.t_ns == START + MAX_CATCH_UP_NS
 
 
 class GrantedPriority:
-    """Real-time priority that is granted by the test."""
+    """Real-time priority that a test grants."""
 
     def __init__(self) -> None:
         self.now_s, self.requests, self.active = 0.0, 0, False
@@ -183,12 +195,12 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
 
 
 def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None:
-    """Check a case that printed 2,338 lines in 275 s, none of them with advice."""
+    """Regression: a slow simulator printed 2,338 lines in 275 s, and none of them advised a slower time."""
     now = {"wall": 0.0, "cpu": 0.0}
     lines: list[str] = []
     pace = Pace(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
     plant_ns = 0
-    for _ in range(100):  # 10 s with a pace of a tenth of real time, without idle time
+    for _ in range(100):  # 10 s at a tenth of real time, never idle
         now["wall"] += 0.1
         now["cpu"] += 0.1
         plant_ns += 10 * MS
@@ -232,7 +244,7 @@ def test_a_late_simulation_skips_time_and_reports_it(bench: Bench, capsys: pytes
 
 
 def write_timeout(milliseconds: int) -> Frame:
-    """Return a write of register 9 of motor 1, in units of 50 us."""
+    """Return the frame that writes a watchdog time into register 9 of motor 1. Its unit is 50 us."""
     return Frame(0x7FF, bytes((1, 0, 0x55, 9)) + (milliseconds * 20).to_bytes(4, "little"))
 
 

@@ -1,4 +1,7 @@
-"""Frames on a Linux CAN socket, byte for byte, and an interface that refuses. See tests/vcan for real interfaces."""
+"""Test frames on a Linux CAN socket byte by byte, and an interface that refuses frames.
+
+tests/vcan uses real interfaces.
+"""
 
 import errno
 import os
@@ -16,7 +19,7 @@ FD_FRAME = Frame(1 << 31 | 0x1ABCDE, bytes(range(12)), FDF | BRS)
 
 
 class Interface:
-    """The kernel's end of a raw CAN socket."""
+    """The end of a raw CAN socket that the kernel would have."""
 
     def __init__(self) -> None:
         self.waiting: list[bytes | OSError] = []

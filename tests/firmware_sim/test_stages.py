@@ -1,4 +1,7 @@
-"""Stages of a scene: the hand is turned, the object pushed, the friction changed, each at its time."""
+"""Test the stages of a scene.
+
+The hand is turned, the object is pushed, and the friction is changed, each at its time.
+"""
 
 import math
 from pathlib import Path
@@ -60,7 +63,10 @@ def test_duration_of_a_push_and_lasting_friction() -> None:
 
 
 def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
-    """Start the stages by the first contact. The object then falls towards the thumb, not onto the table."""
+    """The first contact starts the stages.
+
+    Gravity then points towards the thumb, and the friction of all contacts is changed.
+    """
     path = tmp_path / "stages.toml"
     path.write_text(SCENE)
     plant = Plant(load_hand("jamia"), load_scene(str(path)), homed=True)

@@ -1,4 +1,4 @@
-"""Conditions under which the table sinks."""
+"""Test the conditions under which the table below the object sinks."""
 
 import pytest
 
@@ -10,7 +10,7 @@ SUPPORT = Support(drop_when="grasped", drop_force=1.0, drop_hold=1.5, sink_speed
 
 
 def forces(*digits: float) -> list[float]:
-    """Return each force along a skew axis."""
+    """Return the contact force vector of each digit, with a given size along a skew axis."""
     return [part for size in digits for part in (0.6 * size, 0.0, -0.8 * size)]
 
 

@@ -1,4 +1,4 @@
-"""The tendon and its pulleys against the formulas of the model, computed independently."""
+"""Compare the simulated tendon and its pulleys with the formulas of the model, which are computed independently."""
 
 import math
 
@@ -19,7 +19,7 @@ REST = [0.0, 0.0, 0.0]
 
 
 class TendonOnSpool:
-    """One tendon on its spool."""
+    """One simulated tendon on its spool."""
 
     def __init__(self, spec: TendonSpec = SPEC) -> None:
         routing = Routing([spec], JOINTS, [spec.motor], [0.005], compiled=False)
@@ -36,7 +36,7 @@ class TendonOnSpool:
         return out[0]
 
     def pull(self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]) -> float:
-        """Add the torques of the pulleys without the compensation of damping, and return the tension."""
+        """Add the torques of the pulleys to ``torque``, without the compensation of damping, and return the tension."""
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
         step_drivetrain(*self.parts, q, dq, total, [0.0], False)
@@ -58,7 +58,7 @@ def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
     assert stiffness[:7000].max() == pytest.approx(1e5, rel=1e-6)
     assert np.abs(np.diff(stiffness)).max() < 200.0, "the stiffness jumps"
     assert stiffness[-1] == pytest.approx(0.4e5, rel=1e-3)
-    # closed form: 200 + k2 x + (k - k2) w (1 - exp(-x/w)) at x = 1 mm
+    # The closed form beyond the knee is 200 + k2 x + (k - k2) w (1 - exp(-x/w)), here at x = 1 mm.
     assert elastic(3e-3) == pytest.approx(200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3)))
 
 
@@ -108,7 +108,10 @@ def test_friction_grows_with_speed_as_tanh() -> None:
 
 @given(st.floats(-0.2, 0.2), st.lists(st.floats(0.0, 1.7), min_size=3, max_size=3))
 def test_friction_dissipates_energy_and_the_slope_matches(speed: float, q: list[float]) -> None:
-    """The friction power of the tendon is never positive, and ``slope`` covers the loss at every pulley."""
+    """The power of the tendon's friction is never positive.
+
+    ``slope`` is at least the loss of tension at each pulley, divided by the speed.
+    """
     dq = [speed / 0.009] * 3
     torque = [0.0] * 3
     tendon = make_tendon()

@@ -1,4 +1,7 @@
-"""A local bus with a wire on a manual clock: clients of handctl on one side, a simulated hand on the other."""
+"""Test a local bus with the timing of a wire, on a clock that tests set.
+
+A client of handctl is on one side, a simulated hand on the other.
+"""
 
 import select
 from collections.abc import Iterator
@@ -24,7 +27,10 @@ SYNC, TENSIONS, REGISTERS = 0x80, 0x1A0, 0x7FF
 
 
 class Lab:
-    """A hand and a host on a bus with wire timing. ``at`` sets the clock and processes all events that are due."""
+    """A simulated hand and a host on a bus with the timing of a wire.
+
+    ``at`` sets the clock and processes all events that are due.
+    """
 
     def __init__(self, words: list[str], hand: bool = True) -> None:
         self.clock = ManualClock(START)

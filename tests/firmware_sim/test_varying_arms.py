@@ -1,4 +1,4 @@
-"""Tendons of the simulator with moment arms that depend on the joint angle."""
+"""Test tendons of the simulator whose moment arms depend on the joint angle."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ STEP_S = 0.5e-3
 
 @pytest.mark.parametrize("name", ["jamia11", "n_plus_1", "orca_like"])
 def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) -> None:
-    """Without friction and damping, the sums of tension times speed and of torque times rate are equal."""
+    """Without friction and damping, the sum of tension times tendon speed equals the sum of torque times joint rate."""
     path = tmp_path / "hand.toml"
     path.write_text(with_varying_arms(name, 0.3).to_toml())
     hand = load_hand(str(path))

@@ -1,4 +1,4 @@
-"""The simulated wire: bit time, arbitration, queues, acknowledge, error states."""
+"""Test the simulated wire of a CAN bus: bit times, arbitration, queues, acknowledges and error states."""
 
 import random
 from itertools import pairwise
@@ -25,7 +25,7 @@ FRAMES = st.builds(
 
 
 class BusMember:
-    """A controller and the frames that its owner has received."""
+    """A CAN controller on the wire, and the frames that its owner has received."""
 
     def __init__(self, wire: Wire, queue: int | None = None) -> None:
         self.received: list[Frame] = []
@@ -41,7 +41,7 @@ class BusMember:
 
     @property
     def classes(self) -> list[int]:
-        """Return the classes of the error frames, without the bits that mark error frames and counters."""
+        """Return the classes of the received error frames, without the bits that mark error frames and counters."""
         return [frame.can_id & 0x1FF for frame in self.errors]
 
 
@@ -57,7 +57,10 @@ def test_both_packages_compute_the_same_maximum_frame_time(frame: Frame) -> None
 
 
 def test_a_frame_whose_bits_were_counted_by_hand() -> None:
-    """Check identifier 0 without data: 19 zeros and a CRC of zeros, with a stuff bit after every five."""
+    """A frame with identifier 0 and no data has 19 zeros and a CRC of zeros.
+
+    A stuff bit follows every five zeros.
+    """
     zeros = 1 + 11 + 3 + 4 + 15
     assert ACTUAL.frame_ns(Frame(0, b"")) == (zeros + zeros // 5 + 13) * 1000
     assert ACTUAL.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, "at most six stuff bits"

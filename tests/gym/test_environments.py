@@ -1,4 +1,4 @@
-"""The environments of ``handctl.gym``: interface, determinism, safety, and that both tasks can be solved."""
+"""Test the environments of ``handctl.gym``: their interface, determinism and safety. Both tasks can be solved."""
 
 import re
 import subprocess
@@ -20,9 +20,13 @@ from handctl.errors import ConfigError
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "gym.md"
 TRACK, GRASP = "handctl/Track-v0", "handctl/Grasp-v0"
 GRASPS = {"jamia": (70, 0.3), "jamia11": (70, 0.3), "jamia_bench": (70, 0.3), "t42": (15, 0.15)}
-"""Step in which the digits of a packaged hand are close to the object, and fraction of the tension that holds it."""
+"""For each packaged hand, the time of contact and the tension of a scripted grasp.
+
+The numbers are the step in which its digits are close to the object, and the action that holds the
+object by tension.
+"""
 SIZES = {"t42": {"diameter_mm": (33.4, 35.0)}}
-"""The two fingers of the t42 squeeze smaller objects out."""
+"""Diameters of the object [mm]. The two fingers of the t42 would squeeze smaller objects out."""
 
 
 def make(name: str, **options: Any) -> Any:
@@ -31,13 +35,13 @@ def make(name: str, **options: Any) -> Any:
 
 
 def ideal(env: Any, seen: Any) -> Any:
-    """Return the action that is the reference after the horizon."""
+    """Return the action whose targets are the reference after the horizon, which an observation contains."""
     first = env.layout.names.index(f"reference_ahead_rad[{env.names[0]}]")
     return env.action_for(np.degrees(seen[first : first + len(env.names)]))
 
 
 def closing(env: Any, step: int) -> Any:
-    """Return the action of a scripted grasp: close, then hold."""
+    """Return the action of a scripted grasp in a step. The grasp closes first and then holds."""
     action = np.full(env.action_space.shape, min(1.0, -1.0 + step / 60), np.float32)
     begin, tension = GRASPS[env.hand.name]
     action[len(env.names) :] = tension if step > begin else -1.0
@@ -45,7 +49,7 @@ def closing(env: Any, step: int) -> Any:
 
 
 def episode(env: Any, seed: int, steps: int) -> bytes:
-    """Return the observations and rewards of random actions as bytes."""
+    """Return the observations and rewards of an episode with random actions, as bytes."""
     rng = np.random.default_rng(seed)
     seen, _ = env.reset(seed=seed)
     rows = [seen.tobytes()]
@@ -78,7 +82,7 @@ def test_equal_seeds_and_actions_give_equal_episodes(name: str) -> None:
 
 @pytest.mark.parametrize(("hand", "span"), [("jamia", None), ("jamia11", None), ("jamia_bench", None), ("t42", 0.05)])
 def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
-    """The fingers of the t42 meet at 9 degrees, so they need a small reference."""
+    """The fingers of the t42 touch each other at 9 degrees, so its reference moves only little."""
     env = make(TRACK, hand=hand, **({} if span is None else {"span": (0.0, span)}))
     seen, _ = env.reset(seed=3)
     rewards, ended, truncated = [], False, False
@@ -135,7 +139,10 @@ def test_a_fault_ends_an_episode() -> None:
 
 
 def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
-    """The targets of 20 seeds are limited, and the tensions stay within their limits."""
+    """The random targets of 20 seeds are limited.
+
+    No fault ends an episode, and the tensions stay within their limits.
+    """
     env = make(TRACK, duration_s=1.0)
     limit = max(tendon.tension_max_N for tendon in env.hand.tendon)
     for seed in range(20):
@@ -163,7 +170,7 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
         return gymnasium.make("handctl.gym:handctl/Track-v0", duration_s=0.2)
 
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(np.float32)  # one episode, and the begin of the next
+    actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(np.float32)  # more than one episode
     rows = []
     for kind in (SyncVectorEnv, AsyncVectorEnv):
         envs = kind([made, made])

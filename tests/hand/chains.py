@@ -1,4 +1,4 @@
-"""Hands of random chains: axes, orientations, lengths, masses and inertia are random."""
+"""Hands whose digits are random chains of links. Axes, orientations, lengths, masses and inertia are random."""
 
 from typing import Any
 
@@ -11,15 +11,16 @@ SEEDS = range(20)
 
 
 def random_tree(seed: int) -> Hand:
-    """Return a hand of up to five random digits of 1 to 3 links, each on the palm or on a digit before."""
+    """Return a hand of five random digits of 1 to 3 links. Each is mounted on the palm or on an earlier digit."""
     chance = np.random.default_rng(seed + 100)
     return random_hand(seed, *chance.integers(1, 4, 5).tolist(), chance=chance)
 
 
 def random_hand(seed: int, *counts: int, chance: np.random.Generator | None = None) -> Hand:
-    """Return a hand of random digits with one tendon per joint, by default one of 1 to 8 links and one of 1 to 7.
+    """Return a hand of random digits with one tendon per joint. ``counts`` are the numbers of their links.
 
-    With ``chance`` some digits are mounted on others.
+    Without counts, the hand has a digit of 1 to 8 links and one of 1 to 7 links. With ``chance``
+    some digits are mounted on others.
     """
     mounted = chance
     chance = np.random.default_rng(seed)
@@ -28,7 +29,7 @@ def random_hand(seed: int, *counts: int, chance: np.random.Generator | None = No
     digits = [random_digit(chance, f"d{number}", count) for number, count in enumerate(counts)]
     line: list[str] = []
     for digit in digits if mounted else ():
-        # The carrier is the palm, the digit before, or a carrier of that digit.
+        # A digit is carried by the palm, by the digit before it, or by a carrier of that digit.
         level = int(chance.integers(0, len(line) + 1))
         if level:
             digit["mount_on"] = line[level - 1]
@@ -50,7 +51,10 @@ def random_hand(seed: int, *counts: int, chance: np.random.Generator | None = No
 
 
 def random_digit(chance: np.random.Generator, name: str, count: int) -> dict[str, Any]:
-    """Return a digit of random links. Some have no length, some only a number for centre of mass and inertia."""
+    """Return a digit of random links.
+
+    Some links have length zero. Some have a single number for centre of mass and inertia.
+    """
     length = chance.uniform(0.01, 0.05, count)
     length[:-1] *= chance.random(count - 1) > 0.2
     radius = 0.006
@@ -59,7 +63,8 @@ def random_digit(chance: np.random.Generator, name: str, count: int) -> dict[str
     com: list[Any] = chance.uniform(-0.004, 0.004, (count, 3)).tolist()
     inertia: list[Any] = []
     for i in range(count):
-        # A body of random points: its inertia satisfies every inequality.
+        # The inertia is that of a body of random points, so it satisfies all inequalities of real
+        # bodies.
         points = chance.normal(size=(6, 3)) * 0.3 * np.maximum(length[i] / 3, radius / 2)
         moments = mass[i] / 6 * ((points**2).sum() * np.eye(3) - points.T @ points)
         inertia.append(moments[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)].tolist())

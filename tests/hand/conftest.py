@@ -1,4 +1,4 @@
-"""Hands and digits for the tests of this folder."""
+"""Fixtures with hands and digits for the tests of this folder."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 
 SPATIAL = ("orca_like",)
-"""Packaged hands of spatial chains on a wrist.
+"""Packaged hands whose digits are spatial chains on a wrist.
 
 ``test_chains`` tests these hands together with random trees.
 """
@@ -20,7 +20,10 @@ SPATIAL = ("orca_like",)
 
 @pytest.fixture(params=[name for name in packaged_hands() if name not in SPATIAL])
 def hand(request: pytest.FixtureRequest) -> Hand:
-    """Return every packaged hand of planar digits on the palm."""
+    """Return a packaged hand with planar digits on the palm.
+
+    A test with this fixture runs once for each such hand.
+    """
     return load_hand(request.param)
 
 
@@ -38,7 +41,10 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def refusal() -> Callable[[Mapping[str, Any]], str]:
-    """Return the line with which content is refused: file, key path, value, and expected value."""
+    """Return a function that builds a hand from wrong content and returns the error line.
+
+    The line has the file, the key path, the value, and the expected value.
+    """
 
     def refuse(content: Mapping[str, Any]) -> str:
         with pytest.raises(ConfigError) as caught:

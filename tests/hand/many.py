@@ -1,4 +1,4 @@
-"""Hands with more motors than the packaged ones, made of jamia11."""
+"""Hands with more motors than the packaged ones. They are made from jamia11."""
 
 from typing import Any
 
@@ -6,7 +6,10 @@ from handctl.hand.load import hand_content
 
 
 def fifteen_motors() -> dict[str, Any]:
-    """Describe a hand of five three-jointed fingers with a tendon and a motor per joint: jamia11 without its thumb."""
+    """Describe a hand of five fingers with three joints each, and with a tendon and a motor per joint.
+
+    It is jamia11 without its thumb and with two more fingers.
+    """
     raw = hand_content("jamia11")
     parts = {name: [one for one in raw[name] if "thumb" not in one["name"]] for name in ("digit", "tendon", "motor")}
     for number, name in enumerate(("little", "outer")):
@@ -23,7 +26,7 @@ def fifteen_motors() -> dict[str, Any]:
 
 
 def _renamed(one: Any, finger: str) -> Any:
-    """Copy a section with another finger's name wherever it says index."""
+    """Copy a section of a hand file with the name of another finger in place of index."""
     if isinstance(one, dict):
         return {_renamed(key, finger): _renamed(value, finger) for key, value in one.items()}
     if isinstance(one, list):

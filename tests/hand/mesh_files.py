@@ -1,4 +1,4 @@
-"""Small mesh files for tests."""
+"""Small mesh files for tests, and hands that use them."""
 
 from pathlib import Path
 
@@ -23,12 +23,15 @@ RPY_DEG = (20.0, -35.0, 110.0)
 
 
 def triangles() -> NDArray[np.float64]:
-    """Return the tetrahedron, (4, 3, 3) [m]."""
+    """Return the corners of the tetrahedron's triangles (4, 3, 3) [m]."""
     return CORNERS[FACES]
 
 
 def obj(scale: float = 1.0, mixed: bool = False) -> bytes:
-    """Return the tetrahedron as an OBJ, with all forms of a corner if mixed, which MuJoCo does not read."""
+    """Return the tetrahedron as an OBJ file.
+
+    If ``mixed``, its faces use all forms of a corner, which MuJoCo cannot read.
+    """
     lines = [
         "# a tetrahedron",
         "mtllib none.mtl",
@@ -87,7 +90,7 @@ def plain(name: str) -> Hand:
 
 
 def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the corners of the mesh of each body as MuJoCo places them, in the palm frame [m]."""
+    """Return the corners of each link's mesh in the palm frame [m], as MuJoCo places them."""
     data = mujoco.MjData(model)
     data.qpos[: len(q)] = q
     mujoco.mj_kinematics(model, data)
@@ -103,7 +106,7 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
 
 
 def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the corners of each mesh by the kinematics of handctl, in the palm frame [m]."""
+    """Return the corners of each link's mesh in the palm frame [m], as the kinematics of handctl places them."""
     poses = {PALM: (np.zeros(3), np.eye(3))}
     tree = HandTree.of(hand)
     all_poses = tree.poses(q)
@@ -120,7 +123,10 @@ def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def assert_same_places(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
-    """Compare sets of corners by link: each corner has one of the other set within a micrometre."""
+    """Assert that two sets of corners agree for each link.
+
+    Each corner is within a micrometre of a corner of the other set.
+    """
     assert found.keys() == expected.keys()
     for link, corners in expected.items():
         distance = np.linalg.norm(corners.reshape(-1, 1, 3) - found[link].reshape(1, -1, 3), axis=-1)

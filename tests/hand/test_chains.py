@@ -1,4 +1,4 @@
-"""Spatial chains against pinocchio and MuJoCo: twenty random hands with gravity in any direction."""
+"""Compare spatial chains with pinocchio and MuJoCo, for twenty random hands with gravity in any direction."""
 
 import mujoco
 import numpy as np
@@ -25,7 +25,7 @@ from tests.hand.test_dynamics import TOLERANCE, agree, pinocchio_by_hand, states
 
 @pytest.fixture(params=SEEDS)
 def chains(request: pytest.FixtureRequest) -> tuple[Hand, tuple[DigitModel, ...]]:
-    """Return every random hand with its digits."""
+    """Return a random hand and its digits. A test with this fixture runs once for each random hand."""
     hand = random_hand(request.param)
     return hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names)
 
@@ -71,7 +71,7 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(chains, rng):
 
 
 def inverse_by_mujoco(model, q, dq, ddq):
-    """Return inverse dynamics of a model without constraints, damping and springs, and its mass matrix."""
+    """Return the inverse dynamics and mass matrix of a MuJoCo model without its constraints, damping and springs."""
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.dof_damping[:] = model.jnt_stiffness[:] = model.tendon_damping[:] = 0.0
     data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -82,7 +82,7 @@ def inverse_by_mujoco(model, q, dq, ddq):
 
 
 def test_exports_and_the_simulator_s_own_model_are_the_same_hand(chains, rng, tmp_path):
-    """Compare the export as MJCF, and the model that separate code of the simulator makes of the same file."""
+    """The MJCF export has the dynamics of the hand. So has the model that the simulator makes by separate code."""
     hand, digits = chains
     path = tmp_path / "random.toml"
     path.write_text(hand.to_toml())
@@ -119,7 +119,10 @@ def test_the_urdf_describes_the_same_hand(chains, rng):
 
 
 def test_transforms_of_the_log_are_those_of_the_model(chains, rng):
-    """Compose the log's transforms, made of the text of the hand file alone."""
+    """The transforms of the log are made from the text of the hand file alone.
+
+    Composed, they are those of the model.
+    """
     hand, digits = chains
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
     place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
@@ -154,7 +157,10 @@ def test_jacobians_and_levers_are_derivatives(chains, rng):
 
 @pytest.fixture(params=[*SEEDS, "orca_like"])
 def tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
-    """Return every random tree of digits, and the packaged one."""
+    """Return a hand whose digits are a tree.
+
+    A test with this fixture runs once for each random tree and for the packaged one.
+    """
     hand = load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)
     return hand, HandTree.of(hand)
 
@@ -218,7 +224,7 @@ def test_logged_transforms_of_a_tree_equal_the_model(tree, rng):
 
 
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(tree, rng):
-    """Compare the weight of a digit alone and in the tree, where all carrying digits are at zero."""
+    """The weight of a digit alone equals that of the digit in the tree, while all digits that carry it are at zero."""
     hand, whole = tree
     for digit in whole.digits:
         if digit.name in hand.carriers:
@@ -229,7 +235,7 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(tree, rng):
 
 
 def test_each_number_of_a_table_matters(rng):
-    """Change each number of a link in the middle by a thousandth: the torque leaves the tolerance."""
+    """If a number of the middle link changes by a thousandth, the torque leaves the tolerance of these tests."""
     hand = random_hand(3, 3)
     digit = DigitModel.of(hand, "d0")
     q, dq, ddq = next(iter(states(rng, 3, 1)))

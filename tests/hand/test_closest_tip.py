@@ -1,4 +1,4 @@
-"""Postures that bring a tip closest to a point, within the joint limits, for packaged and random hands."""
+"""Test postures within the joint limits that bring a fingertip as close as possible to a point."""
 
 import time
 
@@ -23,7 +23,7 @@ def digits(hand: str) -> list[DigitModel]:
 
 
 def tip(digit: DigitModel, theta: np.ndarray) -> np.ndarray:
-    """Return the tip at coordinates [m]."""
+    """Return the position of a digit's tip at given coordinates [m]."""
     return joint_points(digit, digit.coupling @ theta)[-1]
 
 
@@ -41,7 +41,7 @@ def test_a_point_in_reach_is_reached_within_the_limits(hand: str) -> None:
 
 @pytest.mark.parametrize("hand", HANDS)
 def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
-    """Oracle: bounded least squares of scipy from the middle of the range."""
+    """The expected distance is that of scipy's bounded least squares, started in the middle of the range."""
     worse = 0
     for digit in digits(hand):
         low, high = digit.reach
@@ -80,7 +80,7 @@ def test_a_path_of_points_gives_postures_without_jumps() -> None:
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_tips_of_random_chains_are_closest(seed: int) -> None:
-    """Hinges in any direction, one to eight links."""
+    """The chains have hinges in any direction and one to eight links."""
     random = np.random.default_rng(seed)
     description = random_hand(seed)
     digit = DigitModel.of(description, description.digit_names[0])

@@ -1,4 +1,7 @@
-"""Conversion of schema 1 to schema 2: the same hand, written once, with its comments."""
+"""Test the conversion of hand files from schema 1 to schema 2.
+
+The result is the same hand with its comments, and repeated values are written once.
+"""
 
 import re
 from pathlib import Path
@@ -14,11 +17,11 @@ from tests.contracts.random_hands import random_hand
 from tests.hand.test_templates import IDENTITIES
 
 OLD = Path(__file__).with_name("jamia_schema_1.toml")
-"""The packaged jamia before schema 2, with a comment at every number."""
+"""File of the packaged jamia from before schema 2, with a comment at every number."""
 
 
 def hand_after_conversion(text: str) -> Hand:
-    """Return the hand of a converted text."""
+    """Convert the text of a hand file, and return the hand of the result."""
     content = parse_toml(convert_to_schema_2(text, "old"), "new")
     assert content["schema"] == 2
     return hand_from_content(content, "new")

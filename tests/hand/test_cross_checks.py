@@ -1,4 +1,4 @@
-"""Consistency within a hand file: units, references, lengths, limits, identifiers, routing."""
+"""Test the consistency of a hand file: units, references, lengths of lists, limits, identifiers, tendon routes."""
 
 import copy
 import math
@@ -16,7 +16,7 @@ JAMIA = hand_content("jamia")
 
 @pytest.fixture
 def edited(refusal):
-    """Return the refusal of the packaged hand after an edit of its content, without the name of the file."""
+    """Return a function that edits the packaged hand and returns the error line without the file name."""
 
     def refuse(edit):
         content = copy.deepcopy(JAMIA)
@@ -27,7 +27,7 @@ def edited(refusal):
 
 
 def set_values(section, index, **values):
-    """Return an edit that sets values of one section."""
+    """Return an edit that sets values in one section of a hand's content."""
     return lambda content: (content[section] if index is None else content[section][index]).update(values)
 
 
@@ -356,7 +356,7 @@ def test_value_at_its_limit_is_accepted():
 
 
 def on_a_wrist(edit):
-    """An edit of jamia on a wrist."""
+    """Return an edit that first puts jamia on a wrist, and then applies another edit."""
 
     def change(content):
         content.update(copy.deepcopy(on_wrist("jamia").content))

@@ -1,4 +1,4 @@
-"""Hands from valid files, and the errors of invalid files."""
+"""Test hands from valid files, and the errors of invalid files."""
 
 import copy
 import re
@@ -15,12 +15,12 @@ CONTENT = {name: hand_content(name) for name in packaged_hands()}
 
 @pytest.fixture(params=packaged_hands())
 def hand(request):
-    """Return every packaged hand."""
+    """Return a packaged hand. A test with this fixture runs once for each packaged hand."""
     return load_hand(request.param)
 
 
 def with_value(content, path, value):
-    """Return a copy of the content with one value replaced."""
+    """Return a copy of a hand's content with one value replaced."""
     content = copy.deepcopy(content)
     node = content
     for key in path[:-1]:
@@ -69,7 +69,10 @@ def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
 
 
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
-    """Regression: a hand with other limits lost its calibration, and a log with the default limits had none."""
+    """Regression: a hand with other stream limits lost its calibration.
+
+    The log of a hand with the default limits did not contain these limits.
+    """
     slow = hand_from_content(CONTENT[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x")
     assert slow.stream != hand.stream
     assert slow.identity == hand.identity
@@ -81,7 +84,7 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 
 
 def free_values(content):
-    """Return values that may change slightly without a change of others."""
+    """Yield paths and values of a hand's content. Each may change slightly without a change of other values."""
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]
     for i in range(2):
@@ -93,7 +96,7 @@ DIGITS_AND_JOINTS = {
     "n_plus_1": (("index", "middle", "thumb"), 8),
     "orca_like": (("wrist", "index", "middle", "ring", "pinky", "thumb"), 17),
 }
-"""Digits and number of joints of hands other than jamia."""
+"""Names of the digits and number of joints of packaged hands other than jamia hands."""
 
 
 def test_links_and_joints_have_names_and_places(hand):

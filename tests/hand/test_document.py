@@ -1,4 +1,4 @@
-"""Documents: the complete error line of each kind of mistake."""
+"""Test documents such as hand files. For each kind of mistake, the complete error line is compared."""
 
 import datetime
 from typing import Annotated, Any, Literal

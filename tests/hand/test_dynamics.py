@@ -1,4 +1,4 @@
-"""Equations of motion against pinocchio and MuJoCo, and against the laws that any mechanical system obeys."""
+"""Compare the equations of motion with pinocchio and MuJoCo, and with laws that any mechanical system obeys."""
 
 import mujoco
 import numpy as np
@@ -17,17 +17,20 @@ TOLERANCE = 1e-9
 
 
 def states(rng, n, samples=SAMPLES):
-    """Return random (q, dq, ddq), fast enough that every term matters."""
+    """Return random angles, rates and accelerations (q, dq, ddq).
+
+    They are so large that every term of the dynamics matters.
+    """
     return zip(*(scale * rng.normal(size=(samples, n)) for scale in (1.5, 15.0, 400.0)), strict=True)
 
 
 def agree(mine, reference):
-    """Return True if arrays agree, relative to the largest entry."""
+    """Return True if two arrays agree within a tolerance relative to the largest entry."""
     return np.abs(np.asarray(mine) - reference).max() <= TOLERANCE * np.abs(reference).max()
 
 
 def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
-    """Build the digit as a chain of hinges, without URDF."""
+    """Build a digit in pinocchio as a chain of hinges, without its URDF."""
     model, parent = pinocchio.Model(), 0
     place = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
     for i in range(digit.joint_count):
@@ -43,7 +46,7 @@ def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
 
 
 def joint_rotation(digit: DigitModel, i: int) -> np.ndarray:
-    """Return the orientation of link i at angle zero in the frame before it."""
+    """Return the orientation of link i at angle zero, relative to the frame of the link before it."""
     at_zero = digit.table[rigid_body.FIXED : rigid_body.COSINE, i] + digit.table[rigid_body.COSINE : rigid_body.SINE, i]
     rotation = at_zero.reshape(3, 3)
     return rotation if i else digit.mount_rotation.T @ rotation
@@ -104,7 +107,7 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
 
 
 def whole_hand(digits, q, dq, ddq):
-    """Return inverse dynamics of all digits in order."""
+    """Return the inverse dynamics of a hand, with the joint torques of its digits in order."""
     return np.concatenate([dynamics.inverse_dynamics(d, q[d.joints], dq[d.joints], ddq[d.joints]) for d in digits])
 
 
@@ -134,7 +137,7 @@ def test_mass_matrix_is_symmetric_and_positive(digits, rng):
 
 
 def test_coriolis_forces_do_no_work_of_their_own(digits, rng):
-    """M' - 2 C is skew, so that q'. C q' = q'. M' q' / 2."""
+    """The matrix M' - 2 C is skew-symmetric, so q'. C q' = q'. M' q' / 2."""
     for digit in digits:
         for q, dq, _ in states(rng, digit.joint_count, 200):
             step = 1e-6 * dq / np.linalg.norm(dq)
@@ -161,7 +164,10 @@ def test_gravity_and_springs_are_gradients_of_their_energies(digits, rng):
 
 
 def test_energy_is_conserved(digits):
-    """Swing with springs and weight, undamped, by Runge-Kutta of fourth order."""
+    """The energy of undamped digits with springs and weight is conserved.
+
+    A Runge-Kutta method of fourth order integrates their motion.
+    """
     for digit in digits[::3]:
         digit = digit.with_gravity((4.0, -8.0, 3.0))
         n, dt = digit.joint_count, 2e-5
@@ -184,7 +190,7 @@ def test_energy_is_conserved(digits):
             k4 = rate(state + dt * k3)
             state = state + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             kinetic.append(dynamics.kinetic_energy(digit, state[:n], state[n:]))
-        # Without springs only weight exchanges energy.
+        # In a digit without springs, only the weight exchanges energy with the motion.
         assert np.ptp(kinetic) > (0.3 if any(digit.spring_stiffness) else 0.1) * start
         assert abs(energy(state) - start) < 1e-6 * start
 
@@ -220,8 +226,8 @@ def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
 
 
 def test_known_numbers_of_the_paper_s_finger():
-    """Weight of the straight finger at joint 1 and its reduced inertia, worked out by hand from lengths and masses."""
-    digit = DigitModel.of(load_hand("jamia"), "index").with_gravity((0.0, 9.81, 0.0))  # down is the digit's -y
+    """The torque of the straight finger's weight at joint 1 and its reduced inertia equal values computed by hand."""
+    digit = DigitModel.of(load_hand("jamia"), "index").with_gravity((0.0, 9.81, 0.0))  # gravity along the digit's -y
     m1, m2, m3 = digit.masses
     weight = 9.81 * (m1 * 0.015 + m2 * 0.0375 + m3 * 0.050)
     assert np.isclose(dynamics.gravity_torque(digit, (0.0, 0.0, 0.0))[0], weight, rtol=1e-12)

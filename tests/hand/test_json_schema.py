@@ -1,4 +1,7 @@
-"""The JSON Schema that editors read: as packaged, true of good files, and strict with wrong values."""
+"""Test the JSON Schema that editors read.
+
+It equals the packaged file, accepts good hand files, and refuses wrong values.
+"""
 
 import copy
 import json
@@ -18,7 +21,7 @@ VALIDATOR = jsonschema.Draft7Validator(hand_schema())
 
 
 def plain(content: dict[str, Any]) -> Any:
-    """Return content with lists in place of tuples."""
+    """Return a hand's content with lists in place of tuples."""
     return json.loads(json.dumps(content))
 
 

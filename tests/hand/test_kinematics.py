@@ -1,4 +1,4 @@
-"""Kinematics against pinocchio reading our URDF, against finite differences, and there and back again."""
+"""Compare the kinematics with pinocchio, which reads the exported URDF, with differences, and with their inverse."""
 
 import math
 
@@ -25,13 +25,13 @@ from tests.hand.chains import random_hand
 
 
 def planar_tip(digit, q):
-    """Return position of the tip in the plane of a planar digit, and direction of its last link."""
+    """Return the tip's position in the plane of a planar digit, and the direction of its last link."""
     x, y, _ = from_palm(digit, joint_points(digit, q)[-1])
     return x, y, float(np.sum(q))
 
 
 def angles(rng, digit, count=100):
-    """Return random joint angles beyond both limits."""
+    """Return random joint angles (count, joints) from below the lower to above the upper limits [rad]."""
     return rng.uniform(-2.5, 2.5, (count, digit.joint_count))
 
 
@@ -103,7 +103,7 @@ def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
 
 
 def test_the_paper_s_finger_at_thirty_degrees():
-    """Eq. 1-2 with q1 = q2 = q3 = theta: X = 30 c(t) + 15 c(2t) + 10 c(3t)."""
+    """Eq. 1-2 of the paper with q1 = q2 = q3 = t give X = 30 cos(t) + 15 cos(2t) + 10 cos(3t) mm."""
     t = math.radians(30.0)
     pose = planar_tip(DigitModel.of(load_hand("jamia"), "index"), (t, t, t))
     x = 0.030 * math.cos(t) + 0.015 * math.cos(2 * t) + 0.010 * math.cos(3 * t)

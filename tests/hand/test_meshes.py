@@ -1,4 +1,7 @@
-"""Meshes of links and palm: files, refusals, place on the link, export, and no effect on the dynamics."""
+"""Test meshes of the links and the palm: their files, refused files, their place on the link, and their export.
+
+They have no effect on the dynamics.
+"""
 
 import re
 from pathlib import Path
@@ -105,7 +108,7 @@ def test_a_file_that_is_no_mesh_is_named_with_what_is_right(tmp_path: Path, kind
 
 
 def with_keys(name: str, **keys: object):
-    """Return a packaged hand with keys in every digit instead of its meshes."""
+    """Return a packaged hand whose digits have given keys in place of their meshes."""
     content = plain(name).content
     content["digit"] = [digit | keys for digit in content["digit"]]
     return hand_from_content(content, name)
@@ -267,7 +270,7 @@ def random_angles(hand, rng: np.random.Generator) -> np.ndarray:
 
 
 def exported_models(hand, folder: Path) -> dict[str, mujoco.MjModel]:
-    """Return the models of the hand as exported into another folder, and as simulated to draw."""
+    """Return MuJoCo models of a hand: those of its exports, and the one that the simulator draws."""
     output = folder / "out"
     output.mkdir()
     meshes = exported_meshes(hand, folder, output)
@@ -307,7 +310,7 @@ def test_meshes_have_no_effect_on_the_dynamics(
         "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare)),
         "simulator": mujoco.MjModel.from_xml_string(model_text(simulated, load_scene(None))),
     }
-    # The plant of a run has the same text as without meshes.
+    # The MuJoCo text that a run simulates is the same as without meshes.
     meshed_plant = model_text(simulated_hand(str(folder / "hand.toml")), load_scene("cylinder"))
     assert meshed_plant == model_text(simulated, load_scene("cylinder"))
     for kind, other in without.items():

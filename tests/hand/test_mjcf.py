@@ -1,4 +1,4 @@
-"""The MJCF export, read by MuJoCo and compared with the model."""
+"""Test the MJCF export. MuJoCo reads it, and the result is compared with the hand's model."""
 
 import mujoco
 import numpy as np

@@ -1,4 +1,7 @@
-"""Moment arms that depend on the joint angle: excursion as the integral of R, and mistakes in a hand file."""
+"""Test moment arms that depend on the joint angle.
+
+The excursion is the integral of the arms R, and mistakes in a hand file are reported.
+"""
 
 import numpy as np
 import pytest
@@ -26,7 +29,7 @@ def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -
     hand = with_varying_arms(name, 0.3, kind)
     for digit in (DigitModel.of(hand, one) for one in hand.digit_names):
         for seed in SEEDS:
-            # Some angles are beyond the limits, where the arm is constant.
+            # Some angles are outside the joint limits, where a moment arm is constant.
             q = np.random.default_rng(seed).uniform(digit.joint_min - 0.2, digit.joint_max + 0.2)
             step = 1e-6
             slope = [

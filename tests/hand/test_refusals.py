@@ -1,4 +1,4 @@
-"""Every mistake in a hand file gives one line with key, value and expected value."""
+"""Every mistake in a hand file gives one error line with the key, its value and the expected value."""
 
 import copy
 import math
@@ -19,7 +19,7 @@ OPTIONAL = {"coupling"}
 
 
 def leaves(node, path=()):
-    """Yield (path, value) of everything in a file that is not a table or a list."""
+    """Yield the path and the value of everything in a hand's content that is not a table or a list."""
     entries = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else None
     if entries is None:
         yield path, node
@@ -29,7 +29,7 @@ def leaves(node, path=()):
 
 
 def tables(node, path=()):
-    """Yield the paths of all tables whose keys the schema defines."""
+    """Yield the path and the content of each table whose keys the schema defines."""
     if isinstance(node, dict):
         yield path, node
     for key, value in node.items() if isinstance(node, dict) else enumerate(node):
@@ -42,7 +42,7 @@ def is_number(value):
 
 
 def with_value(content, path, value):
-    """Return a copy of the content with one value replaced."""
+    """Return a copy of a hand's content with one value replaced."""
     content = copy.deepcopy(content)
     node = content
     for key in path[:-1]:
@@ -52,7 +52,7 @@ def with_value(content, path, value):
 
 
 def key_path_text(content, path):
-    """Return the key path as the message spells it."""
+    """Return a key path in the spelling of an error message."""
     text, node = "", content
     for key in path:
         node = node[key]
@@ -64,12 +64,15 @@ def key_path_text(content, path):
 
 
 FLAT = tuple(name for name in packaged_hands() if name != "orca_like")
-"""Hands of planar digits on the palm. ``orca_like`` has the same keys and axes and inertias of spatial chains."""
+"""Packaged hands with planar digits on the palm.
+
+``orca_like`` has the same keys, and in addition axes and inertias of spatial chains.
+"""
 
 
 
 def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
-    """Return one case for each key, whatever hand and entry has it. Nightly runs have all cases."""
+    """Return one of the cases for each key, from any hand and any entry of a list. At night, return all cases."""
     by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(by_key.values())
 
@@ -82,7 +85,10 @@ NUMBERS = [
     and path != ("schema",)
     and not (len(path) > 1 and isinstance(path[1], int) and path[1] in (1, 2))
 ]
-"""Numeric values of the packaged files, the repeated middle and ring entries left out."""
+"""Numeric values of the packaged files.
+
+The entries of middle and ring finger are left out, because they repeat others.
+"""
 SAMPLE = one_per_key(NUMBERS)
 
 
@@ -152,7 +158,7 @@ def test_a_misspelt_key_is_reported_with_the_right_one(refusal, name):
 
 
 def test_random_change_is_read_or_refused_in_one_line():
-    """No value of any type at any place raises another exception."""
+    """Any wrong value, of any type and in any place of the content, raises ConfigError."""
     content = CONTENT["jamia"]
     for path, _ in [*leaves(content), *tables(content)]:
         if len(path) > 1 and path[1] in (1, 2):
@@ -163,7 +169,7 @@ def test_random_change_is_read_or_refused_in_one_line():
 
 
 def usable_or_refused(content):
-    """Return True if a hand can be built and used, or is refused in one line."""
+    """Return True if a hand can be built from a content and used, or if the content is refused with one line."""
     try:
         hand = hand_from_content(content, "f")
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Warnings about drives that are too strong for tendons and joints."""
+"""Test the warnings about drives that are too strong for the tendons and joints of a hand."""
 
 import json
 import tomllib
@@ -15,7 +15,11 @@ from handctl.hand.strength import STRENGTH_MARGIN, largest_force, runaway_tensio
 def with_ratings(
     hand: Hand, *, rated: float | None = None, peak: float | None = None, strength: float | None = None
 ) -> Hand:
-    """Return the hand with a joint rating [N m], a motor's peak torque [N m] and a tendon's strength [N] for all."""
+    """Return a hand with the same values for all its parts.
+
+    They are the rating of a joint [N m], the peak torque of a motor [N m] and the strength of a
+    tendon [N].
+    """
     digits, motors, tendons = hand.digit, hand.motor, hand.tendon
     if rated is not None:
         digits = tuple(d.model_copy(update={"joint_rated_torque_N_m": (rated,) * len(d.joints)}) for d in digits)
@@ -28,7 +32,10 @@ def with_ratings(
 
 @pytest.mark.parametrize("name", [name for name in packaged_hands() if name.startswith("jamia")])
 def test_check_warns_of_each_jamia_and_accepts_it(name, capsys):
-    """The motors make 250 N and more, 500 N in a runaway. The strength of 620 N is less than 1.5 times that."""
+    """The motors of each jamia make 250 N and more, and 500 N when they run away.
+
+    The tendon strength of 620 N is less than 1.5 times 500 N.
+    """
     assert main(["config", "check", "--hand", name]) == 0
     warned = [line for line in capsys.readouterr().out.splitlines() if line.startswith("# warning: ")]
     assert any("torque_peak_N_m" in line and "limit the drive to 207 N = 1.03 N m" in line for line in warned)

@@ -1,4 +1,7 @@
-"""Schema 2: defaults and templates become the same hand as their values written out."""
+"""Test schema 2 of hand files.
+
+A file with defaults and templates gives the same hand as a file with all values written out.
+"""
 
 import copy
 from typing import Any
@@ -23,20 +26,23 @@ IDENTITIES = {
     "jamia11": "879de7b39ebe29ed6f7c866c9bb0d4f94a6f97beb1d86836c60a6ca0b420694a",
     "jamia_bench": "1363c530f1eb4516b007634ba69ed61610e9ce4537fb2d76b345e61737af9f44",
 }
-"""Identities of the packaged hands when their files were of schema 1. Calibrations and logs refer to them."""
+"""Identities that the packaged hands had when their files were of schema 1.
+
+Calibrations and logs refer to these identities.
+"""
 LINES = 120
 """Largest number of lines of a packaged hand file."""
 LONG = {"orca_like": 175}
-"""Largest number of lines of a file for 17 joints with three kinds of digits."""
+"""Largest number of lines of larger packaged hand files. ``orca_like`` has 17 joints and three kinds of digits."""
 
 
 def jamia() -> dict[str, Any]:
-    """Return the content of the packaged file, with defaults and templates."""
+    """Return the content of jamia.toml as it is packaged, with its defaults and templates."""
     return read_toml(hand_path("jamia"))
 
 
 def hand_of_content(content: dict[str, Any]) -> Hand:
-    """Return the hand of a content, which must be without mistakes."""
+    """Return the hand of a content, and check that the content has no mistakes."""
     hand, mistakes = validate_content(content)
     assert not mistakes
     assert hand

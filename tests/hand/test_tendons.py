@@ -1,4 +1,4 @@
-"""The tendon law and the statics of tendon and joint."""
+"""Test the elastic law of a tendon, and the statics of tendons and joints."""
 
 import math
 
@@ -82,7 +82,7 @@ def test_known_numbers_of_the_packaged_tendon():
 
 
 def test_work_of_tendons_is_work_of_joints(digits, rng):
-    """Compare f . ds with tau . dq, ds by differences of the excursion."""
+    """The work f . ds of the tendons equals the work tau . dq of the joints. ds is a difference of the excursion."""
     for digit in digits:
         for _ in range(50):
             q, move = rng.normal(size=(2, digit.joint_count))
@@ -138,7 +138,10 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
 
 
 def test_one_tendon_per_joint_pulls_the_absolute_torques():
-    """R = r S makes tension times r the difference of neighbouring joint torques."""
+    """With one tendon per joint, the moment arms are R = r S.
+
+    Tension times r is then the difference of neighbouring joint torques.
+    """
     digit = DigitModel.of(load_hand("jamia11"), "ring")
     tau = np.array([0.33, 0.15, 0.06])
     assert np.allclose(digit.torque_to_tension @ tau * 0.003, [0.18, 0.09, 0.06], rtol=1e-9)

@@ -1,4 +1,4 @@
-"""The URDF as a document; its mechanics are compared in the tests of dynamics and kinematics."""
+"""Test the URDF export as a document. The tests of dynamics and kinematics compare its mechanics."""
 
 from xml.etree import ElementTree as ET
 
@@ -41,7 +41,7 @@ def test_effort_is_what_the_tendons_may_pull(hand):
 
 
 def test_inertias_are_possible(hand):
-    """Principal moments obey the triangle inequality."""
+    """The principal moments of each link's inertia obey the triangle inequality."""
     for inertia in ET.fromstring(urdf_text(hand)).iter("inertia"):
         x, y, z = (float(inertia.get(axis)) for axis in ("ixx", "iyy", "izz"))
         assert min(x, y, z) > 0.0

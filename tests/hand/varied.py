@@ -12,11 +12,11 @@ def with_varying_arms(name: str, fraction: float, kind: str = "polynomial", enco
     """Return a hand with arms from ``1 - fraction`` at the lower to ``1 + fraction`` at the upper limits of the joints.
 
     Args:
-        name: of a packaged hand.
-        fraction: variation of each arm.
-        kind: polynomial (a straight line), table (a quarter of a sine either way), or content for the file's content
-            with constant arms.
-        encoders: False for a hand without joint encoders.
+        name: name of a packaged hand.
+        fraction: largest variation of each moment arm, relative to the arm.
+        kind: polynomial for a straight line, table for half a period of a sine, or content for the content of the hand
+            file with its constant arms.
+        encoders: whether the hand has its joint encoders.
     """
     hand = load_hand(name)
     content = json.loads(json.dumps(hand.content))

@@ -1,4 +1,4 @@
-"""Packaged hands on a wrist whose axis their tendons do not meet."""
+"""Packaged hands on a wrist. Their tendons pass the axis of the wrist at a distance."""
 
 import json
 from typing import Any
@@ -7,16 +7,19 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, load_hand
 
 ARM_M = 0.005
-"""Distance of the tendons from the axis of the wrist, smaller than the distance of the wrist's tendon."""
+"""Distance at which the digits' tendons pass the axis of the wrist [m].
+
+The wrist's own tendon has a larger distance.
+"""
 
 
 def on_wrist(name: str, arm: float = ARM_M) -> Hand:
     """Return a packaged hand with all its digits on a wrist of one joint, which a spool pair turns.
 
     Args:
-        name: of a packaged hand.
-        arm: moment arm of every tendon about the wrist [m], 0 for tendons that pass it in its axis. The tendons of
-            digits that close towards -y flex the wrist, the others extend it.
+        name: name of a packaged hand.
+        arm: moment arm about the wrist of every tendon of a digit [m]. With 0, the tendons pass through the axis of the
+            wrist. The tendons of digits that close towards -y flex the wrist, the others extend it.
     """
     hand = load_hand(name)
     content: dict[str, Any] = json.loads(json.dumps(hand.content))

@@ -1,4 +1,4 @@
-"""A slowed simulated hand for LeRobot's robots and scripts."""
+"""Fixtures with a simulated hand in slowed time for LeRobot's robots and scripts."""
 
 import tempfile
 
@@ -8,12 +8,12 @@ from handctl.hand.load import load_hand
 from tests.runtime.processes import end, scaled, start_hand, write_homed
 
 SCALE = 0.5
-"""Time of the hand per wall time."""
+"""Time of the hand that passes per second of wall time."""
 
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """Change to an empty folder, with sockets in a folder that has a short path."""
+    """Change to an empty folder. Sockets are in another folder with a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.setenv("HF_HUB_OFFLINE", "1")
@@ -24,7 +24,7 @@ def place(tmp_path, monkeypatch):
 
 @pytest.fixture
 def options(place):
-    """Start a slowed simulated hand. Return the options of its controller."""
+    """Start a simulated hand in slowed time, and return the options of its controller."""
     scale = scaled(SCALE)
     process = start_hand(place / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
     yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]

@@ -1,4 +1,7 @@
-"""Videos of cameras in an exported dataset, read back by LeRobot's loader. Skipped where LeRobot is not installed."""
+"""Test camera videos in an exported dataset.
+
+LeRobot's loader reads them back. The tests are skipped where LeRobot is not installed.
+"""
 
 import json
 import os
@@ -23,12 +26,12 @@ FPS = 50
 CAMERA_HZ = 30
 WIDTH, HEIGHT = 64, 48
 LEVEL_PER_S = 40.0
-"""Rise of the brightness of the test videos [1/s], of 255."""
+"""Rise of the brightness of the test videos [1/s]. The largest brightness is 255."""
 
 
 @pytest.fixture(autouse=True)
 def ffmpeg(tmp_path_factory, monkeypatch):
-    """Put the ffmpeg of imageio into PATH, if there is no other."""
+    """Add the ffmpeg of the package imageio to PATH. Another ffmpeg in PATH has priority."""
     from imageio_ffmpeg import get_ffmpeg_exe
 
     folder = tmp_path_factory.mktemp("bin")
@@ -37,25 +40,28 @@ def ffmpeg(tmp_path_factory, monkeypatch):
 
 
 def write_video(path, seconds, width=WIDTH):
-    """Write a video that becomes brighter: its level tells the time at which an image was taken."""
+    """Write a video that becomes brighter and return its path.
+
+    The brightness of an image shows the time at which it was taken.
+    """
     import imageio
 
     with imageio.get_writer(path, fps=CAMERA_HZ, macro_block_size=1, output_params=["-crf", "1"]) as writer:
         for i in range(round(seconds * CAMERA_HZ)):
             image = np.full((HEIGHT, width, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8)
-            image[:, : width // 2, 0] = 0  # the left half lacks red
+            image[:, : width // 2, 0] = 0  # no red in the left half
             writer.append_data(image)
     return path
 
 
 def times(log):
-    """Return the first and the last time of the frames of an episode [s]."""
+    """Return the first and the last time of the active part of a log [s], which becomes an episode."""
     active = log.t_ns[log.mode == int(Mode.ACTIVE)] / 1e9
     return active[0], active[-1]
 
 
 def level(image):
-    """Return the level of green of an image of the loader."""
+    """Return the mean level of green, 0 to 255, of an image from LeRobot's loader."""
     return float(image[1].mean()) * 255.0
 
 
@@ -63,7 +69,7 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     decoders = pytest.importorskip("torchcodec.decoders", reason="LeRobot needs torchcodec")
     try:
         decoders.VideoDecoder(str(write_video(tmp_path / "any.mp4", 0.2)))
-    except RuntimeError as error:  # test_environment.py makes the libraries known
+    except RuntimeError as error:  # test_environment.py makes them known
         pytest.skip(f"torchcodec finds no FFmpeg libraries: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 

@@ -1,4 +1,7 @@
-"""The tests of this folder with the real LeRobot, in an environment that this test makes. Nightly: 6 GB of packages."""
+"""Run the tests of this folder with the real LeRobot, in an environment that this test makes.
+
+It runs at night, because the packages have 6 GB.
+"""
 
 import os
 import re
@@ -11,15 +14,15 @@ import pytest
 ROOT = Path(__file__).parents[2]
 LEROBOT = "lerobot==0.4.4"
 PYTHON = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
-"""Python of an environment that exists already. Empty: the test makes one."""
+"""Python of an environment that already exists. If it is empty, the test makes an environment."""
 INSTALL_S = 3600.0
 TESTS_S = 1800.0
 TESTS = 13
-"""Smallest number of tests that must pass, so that no skipped test goes unnoticed."""
+"""Smallest number of tests that must pass. Without it, skipped tests would go unnoticed."""
 
 
 def pip(python: str, *words: str) -> None:
-    """Install packages into the environment."""
+    """Install packages into the environment of a Python."""
     command = [python, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", *words]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=INSTALL_S, check=False)
     assert ran.returncode == 0, ran.stderr[-2000:]
@@ -28,8 +31,7 @@ def pip(python: str, *words: str) -> None:
 def link_ffmpeg(python: str, folder: Path) -> str:
     """Give the FFmpeg libraries of PyAV the names under which torchcodec looks for them.
 
-    Returns:
-        the folders for ``LD_LIBRARY_PATH``.
+    Returns: The folders that ``LD_LIBRARY_PATH`` must contain.
     """
     code = "import av, pathlib; print(pathlib.Path(av.__file__).parent.with_name('av.libs'))"
     found = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True)

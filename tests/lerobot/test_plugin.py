@@ -1,4 +1,7 @@
-"""The plug-in against LeRobot's own registry, base classes and script. Skipped where LeRobot is not installed."""
+"""Test the plug-in with LeRobot's own registry, base classes and script.
+
+The tests are skipped where LeRobot is not installed.
+"""
 
 import os
 import subprocess
@@ -59,7 +62,7 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(options) -> None:
     try:
         seen = robot.get_observation()
         assert seen.keys() == robot.observation_features.keys()
-        goal = dict.fromkeys(robot.action_features, 9.0)  # far beyond every joint
+        goal = dict.fromkeys(robot.action_features, 9.0)  # beyond all joint limits
         sent = robot.send_action({**goal, "index_tendon.tension_N": 5.0})
         assert sent.keys() == robot.action_features.keys()
         assert max(sent.values()) < np.radians(4.0), "at most 120 deg/s at 50 Hz"
@@ -67,7 +70,7 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(options) -> None:
         for _ in range(40):
             robot.send_action(goal)
             time.sleep(0.02 / SCALE)
-        time.sleep(1.5 / SCALE)  # longer than the controller waits before it relaxes a stale stream
+        time.sleep(1.5 / SCALE)  # the controller relaxes a stale stream sooner
         seen = robot.get_observation()
         assert np.degrees([seen[name] for name in goal]).mean() == pytest.approx(20.0, abs=2.0)
         robot.send_action(goal)
@@ -119,8 +122,10 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(options, place) ->
     ran = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
     assert ran.returncode == 0, ran.stderr[-2000:]
     with RunLog(Path("run.mcap")) as log, RunLog(Path("leader.mcap")) as leader:
-        # Warnings, such as a late frame or action, come from a busy machine.
+        # Warnings are ignored, because a busy machine causes some, such as that of a late frame or
+        # a late action.
         assert not [row.event.text for row in log.events if row.event.name == "fault" and row.event.level == "error"]
         goal = np.degrees(np.nanmax(log.field("q_goal")[:, :9]))
-        # The leader closes its fingers to an object. Coupled joints follow by their nearest common angle.
+        # The leader closes its fingers on an object. Coupled joints of the follower turn by the
+        # nearest common angle.
         assert 20.0 < goal < np.degrees(leader.field("q").max()) + 1.0

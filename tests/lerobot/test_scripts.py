@@ -1,4 +1,7 @@
-"""LeRobot's own scripts and its loader of datasets. Skipped where LeRobot is not installed."""
+"""Test the plug-in with LeRobot's own scripts and its loader of datasets.
+
+The tests are skipped where LeRobot is not installed.
+"""
 
 import json
 import subprocess
@@ -26,7 +29,7 @@ EPISODES = 2
 
 
 def script(name: str, *words: str) -> "subprocess.CompletedProcess[str]":
-    """Run a script of LeRobot."""
+    """Run a script of LeRobot, and return its exit code and output."""
     command = [sys.executable, "-m", f"lerobot.scripts.lerobot_{name}", *words]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=400, check=False)
     assert ran.returncode == 0, ran.stderr[-3000:]
@@ -34,7 +37,10 @@ def script(name: str, *words: str) -> "subprocess.CompletedProcess[str]":
 
 
 def faults(log: RunLog) -> list[str]:
-    """Return the faults of a run that made it relax. A busy machine delays frames and actions."""
+    """Return the faults that made a run relax.
+
+    Other faults are ignored, because a busy machine delays frames and actions.
+    """
     return [row.event.text for row in log.events if row.event.name == "fault" and row.event.level == "error"]
 
 
@@ -71,7 +77,7 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
         active = log.mode == Mode.ACTIVE
         highest = np.degrees(np.nanmax(log.field("q_goal")[active][:, :3].mean(axis=1)))
     first = actions[: int(dataset.meta.episodes[0]["length"])]
-    # The joints of a finger are coupled: they turn by the nearest common angle.
+    # The joints of a finger are coupled, so they turn by the nearest common angle.
     expected = np.degrees(first[:, :3].mean(axis=1).max())
     assert highest == pytest.approx(expected, abs=2.0)
 

@@ -1,4 +1,4 @@
-"""Short logs for the tests of the log."""
+"""Fixtures with short logs for the tests of this folder."""
 
 import sys
 from pathlib import Path
@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 @pytest.fixture(scope="session")
 def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a complete log with a dozen chunks."""
+    """Write a complete log with about twelve chunks, and return its path."""
     import synthetic
 
     path = tmp_path_factory.mktemp("log") / "small.mcap"
@@ -20,7 +20,7 @@ def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def run_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write two seconds of a lively run at 500 Hz."""
+    """Write a log of two seconds at 500 Hz, and return its path."""
     import synthetic
 
     path = tmp_path_factory.mktemp("log") / "run.mcap"

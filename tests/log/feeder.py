@@ -1,4 +1,7 @@
-"""Feeder of a recorder until it is killed: `python feeder.py PATH`. Prints each tick accepted by the pipe."""
+"""Feed a recorder until this process is killed: `python feeder.py PATH`.
+
+It prints each tick that the pipe has accepted.
+"""
 
 import itertools
 import os
@@ -13,7 +16,7 @@ from handctl.log.write.recorder import Recorder
 
 
 def main() -> None:
-    """Record ticks without end, with about a millisecond between them."""
+    """Record endless ticks, with about a millisecond between them."""
     run = synthetic.header(rate_hz=1000, deterministic=False)
     ticks = list(synthetic.Synthetic(run, 0.2))
     recorder = Recorder.start(Path(sys.argv[1]), run)

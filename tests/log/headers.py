@@ -1,4 +1,4 @@
-"""Logs with a changed header: metadata records are replaced, the rest is unchanged."""
+"""Write logs with a changed header. Metadata records are replaced, all other records are unchanged."""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -13,11 +13,11 @@ _FRAME = struct.Struct("<BQ")
 
 
 def with_metadata(raw: bytes, change: Callable[[str, Record], Record]) -> bytes:
-    """Return a log with changed metadata and without the checksums of the whole file.
+    """Return the bytes of a log with changed metadata, without the checksums of the whole file.
 
     Args:
-        raw: a complete log.
-        change: function of the name and entries of a metadata record, which returns the new entries.
+        raw: bytes of a complete log.
+        change: function that takes the name and the entries of a metadata record and returns the new entries.
     """
     parts = [MAGIC]
     for code, body in _records(raw):
@@ -31,7 +31,7 @@ def with_metadata(raw: bytes, change: Callable[[str, Record], Record]) -> bytes:
 
 
 def with_run(path: Path, out: Path, **values: str) -> Path:
-    """Write a log to `out` with other JSON texts in its record `handctl.run`."""
+    """Write a copy of a log to `out` with other JSON texts in its record `handctl.run`, and return the path."""
     out.write_bytes(with_metadata(path.read_bytes(), lambda name, old: old | values if name == "handctl.run" else old))
     return out
 

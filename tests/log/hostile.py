@@ -1,4 +1,4 @@
-"""Hostile files: decompression bombs, wrong lengths, a million records of a kind."""
+"""Hostile log files: decompression bombs, wrong lengths, and a million records of one kind."""
 
 import struct
 import zlib
@@ -19,7 +19,7 @@ def _chunk(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
 
 
 def _with_chunks(small: Path, chunks: bytes) -> bytes:
-    """Return the start of a real log, then other chunks."""
+    """Return the bytes of the start of a real log, followed by other chunks."""
     file, scan = LogFile(small), RecordScan()
     scan_records(file, scan)
     file.close()
@@ -33,7 +33,7 @@ def _zeros_zstd(size: int) -> bytes:
 
 
 def hostile(small: Path) -> dict[str, bytes]:
-    """Return name and bytes of each file. Each begins as a real log."""
+    """Return the name and the bytes of each hostile file. Most begin as a real log."""
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
     other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
     many = (message + other) * (MAX_CHUNK // 62)

@@ -1,4 +1,4 @@
-"""Short run with every kind of content of a log."""
+"""A synthetic short run that has every kind of content that a log may have."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,7 +23,11 @@ def header(**more: object) -> RunHeader:
 
 
 def ticks(run: RunHeader, number: int = 120) -> Iterator[tuple[TickIn, TickOut]]:
-    """Yield missed ticks, frames of all kinds on all buses, NaN, infinities, odd texts, every mode and action."""
+    """Yield ticks with every kind of content.
+
+    Some ticks are missed. There are frames of all kinds on all buses, NaN, infinities, odd texts,
+    every mode and every action.
+    """
     random, k = np.random.default_rng(1), 0
     for index in range(number):
         k += 1 + (index % 17 == 16) * 3

@@ -1,4 +1,4 @@
-"""Logs as other readers see them."""
+"""Read logs with the packages of others, to compare the results."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ from rosbags.typesys.store import Typestore
 
 
 class Logged(NamedTuple):
-    """One message of a log in the mcap package."""
+    """One message of a log, as the package mcap reads it."""
 
     topic: str
     kind: str
@@ -23,7 +23,7 @@ class Logged(NamedTuple):
 
 
 def messages(path: Path) -> list[Logged]:
-    """Return all messages in the order of their log times. Checksums are compared."""
+    """Return all messages of a log in the order of their log times, and check the checksums."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         return [
@@ -42,7 +42,7 @@ def messages(path: Path) -> list[Logged]:
 
 
 def by_topic(path: Path) -> dict[str, list[Logged]]:
-    """Return the messages of each topic in the order of the file's index."""
+    """Return the messages of a log by topic, each in the order of the log times."""
     topics: dict[str, list[Logged]] = {}
     for message in messages(path):
         topics.setdefault(message.topic, []).append(message)
@@ -50,7 +50,7 @@ def by_topic(path: Path) -> dict[str, list[Logged]]:
 
 
 class Ros2Support:
-    """Serialiser of mcap-ros2-support for one type."""
+    """Serialiser of the package mcap-ros2-support for one message type."""
 
     def __init__(self, kind: str, schema: str) -> None:
         self.decode = generate_dynamic(kind, schema)[kind]
@@ -58,7 +58,7 @@ class Ros2Support:
 
 
 class Rosbags:
-    """Serialiser of rosbags for one type, from the definition in the log alone."""
+    """Serialiser of the package rosbags for one message type. It knows only the definition in the log."""
 
     def __init__(self, kind: str, schema: str) -> None:
         self.store: Typestore = get_typestore(Stores.EMPTY)
@@ -73,6 +73,6 @@ class Rosbags:
 
 
 def oracles(kind: str, schema: str) -> Iterator[Ros2Support | Rosbags]:
-    """Return both serialisers."""
+    """Yield the serialisers of both packages for a message type."""
     yield Ros2Support(kind, schema)
     yield Rosbags(kind, schema)

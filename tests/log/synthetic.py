@@ -25,7 +25,7 @@ from handctl.log.write.recorder import Recorder
 from handctl.safety.action import Action
 
 SCHEDULE = (("start", 0.02), ("tighten", 0.08), ("close", 0.40), ("hold", 0.75), ("release", 0.85), ("open", 0.98))
-"""Phase, and the fraction of the run at which the phase ends. The last phase is "end"."""
+"""Phases of the run, each with the fraction of the run at which it ends. The phase after them is "end"."""
 
 
 def header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader:
@@ -50,7 +50,7 @@ def _phase(fraction: float) -> str:
 
 
 class Synthetic:
-    """Ticks of a synthetic run. Equal seeds give equal runs."""
+    """The ticks of a synthetic run. Equal seeds give equal ticks."""
 
     def __init__(self, run: RunHeader, seconds: float, seed: int = 0) -> None:
         self.run, self.ticks = run, round(seconds * 1e9 / run.period_ns)
@@ -80,7 +80,7 @@ class Synthetic:
             yield tick_in, TickOut(frames, mode, phase, action, telemetry, events, self._hash.digest())
 
     def _closing(self, fraction: float) -> float:
-        """Return how far the hand is closed, 0 to 1."""
+        """Return how far the hand is closed at a fraction of the run, from 0 to 1."""
         up = float(np.clip((fraction - 0.08) / 0.32, 0, 1))
         down = float(np.clip((fraction - 0.85) / 0.13, 0, 1))
         return (up * up * (3 - 2 * up)) * (1 - down * down * (3 - 2 * down))
@@ -141,7 +141,7 @@ class Synthetic:
 
 
 def write(path: Path, run: RunHeader, seconds: float, seed: int = 0) -> dict[str, object]:
-    """Record a synthetic run through a real recorder."""
+    """Record a synthetic run with a real recorder, and return the recorder's summary."""
     recorder = Recorder.start(path, run)
     for tick_in, out in Synthetic(run, seconds, seed):
         recorder.record(pack_tick_record(tick_in, out))
@@ -149,7 +149,7 @@ def write(path: Path, run: RunHeader, seconds: float, seed: int = 0) -> dict[str
 
 
 def main() -> None:
-    """Write a log."""
+    """Write the log of a synthetic run, as the command line asks."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("path", type=Path, help="log to write")
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")

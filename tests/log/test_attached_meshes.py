@@ -1,4 +1,7 @@
-"""Meshes in a log: embedded up to a bound, found again without the hand file, and named where they are missing."""
+"""Test meshes in a log.
+
+They are embedded up to a bound, found again without the hand file, and named if they are missing.
+"""
 
 from pathlib import Path
 

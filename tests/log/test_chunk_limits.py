@@ -1,4 +1,4 @@
-"""Limits of the work that one chunk can cause."""
+"""Test the limits of the work that one chunk of a log can cause."""
 
 import struct
 
@@ -16,7 +16,7 @@ def message(number: int) -> bytes:
 
 
 def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
-    """A million channels in thirty megabytes once kept `log check` busy for more than a second."""
+    """Regression: a million channels in thirty megabytes kept `log check` busy for more than a second."""
     plenty = 1 << 30
     allowed = channel(7) * 2 * MAX_CHANNELS + message(7)
     assert [one.channel for one in iter_messages(allowed, plenty)] == [7]

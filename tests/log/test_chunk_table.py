@@ -1,4 +1,4 @@
-"""Compact table of a log's chunks."""
+"""Test the compact table of the chunks of a log."""
 
 import random
 import tracemalloc
@@ -42,7 +42,10 @@ def test_packing_changes_neither_their_order_nor_a_number(chunks: int) -> None:
 
 
 def test_an_hour_of_chunks_is_less_than_half_a_megabyte() -> None:
-    """A recorder once grew by 30 MiB per hour for this table. The soak test allows 1 MiB for everything."""
+    """Regression: this table made a recorder grow by 30 MiB per hour.
+
+    The soak test allows 1 MiB for the whole recorder.
+    """
     chunks_an_hour, channels, chance = 4 * 3600, range(34), random.Random(1)
     start = 0
     tracemalloc.start()

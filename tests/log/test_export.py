@@ -1,4 +1,4 @@
-"""Exports read back by foreign readers: equal values."""
+"""Test exports of a log. Readers of other projects find equal values in them."""
 
 import ast
 import csv
@@ -64,7 +64,7 @@ def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
 
 
 def test_units_are_those_that_the_telemetry_declares() -> None:
-    """The docstring of each field of `Telemetry` ends in its unit in brackets, or describes a plain number."""
+    """The docstring of each field of `Telemetry` ends with its unit in brackets, unless the field has no unit."""
     source = ast.parse(inspect.getsource(types))
     (telemetry,) = (node for node in source.body if isinstance(node, ast.ClassDef) and node.name == "Telemetry")
     names = [node.target.id for node in telemetry.body if isinstance(node, ast.AnnAssign)]
@@ -87,7 +87,7 @@ def test_every_column_says_its_unit(log: RunLog, tmp_path: Path) -> None:
 
 
 def test_the_page_has_the_units() -> None:
-    """The table in docs/how-to/logs.md has the unit of every quantity."""
+    """The table in docs/how-to/logs.md has the unit of every exported quantity."""
     page = (GOLDEN.parents[1] / "docs" / "how-to" / "logs.md").read_text(encoding="utf-8")
     listed = {
         name: row[2]
@@ -116,7 +116,10 @@ def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:
 
 
 def test_time_stamps_of_the_candump_rise(log: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a local bus a frame is stamped when it is read, after the start of the tick that sends the answers."""
+    """On a local bus, a frame gets its time stamp when it is read.
+
+    This may be after the start of the tick whose frames follow it.
+    """
     path = tmp_path / "x.log"
     ticks = [tick for tick, _ in zip(log.ticks(), range(500), strict=False)]
     for bus_delay in (0, 40_000):

@@ -1,4 +1,4 @@
-"""Exports of tables and datasets, read back by polars, by Rerun, and by Rerun's reader of LeRobot datasets."""
+"""Test exports of tables and datasets. Polars, Rerun, and Rerun's reader of LeRobot datasets read them back."""
 
 import json
 from collections.abc import Iterator
@@ -100,7 +100,7 @@ def test_every_feature_is_declared_as_it_is(dataset: Path) -> None:
 
 
 def test_the_episode_has_its_statistics(dataset: Path) -> None:
-    """After a split LeRobot computes the statistics of a part from the statistics of its episodes."""
+    """When a dataset is split, LeRobot computes the statistics of a part from those of its episodes."""
     whole = json.loads((dataset / "meta" / "stats.json").read_text())
     table = polars.read_parquet(dataset / "meta/episodes/chunk-000/file-000.parquet")
     names = {"min", "max", "mean", "std", "count", "q01", "q10", "q50", "q90", "q99"}

@@ -1,4 +1,7 @@
-"""Header of a foreign log: every value used in arithmetic is checked for type and range, in every verb."""
+"""Test the header of a log from elsewhere.
+
+Every command checks the type and range of each value that it computes with.
+"""
 
 import json
 from pathlib import Path
@@ -45,7 +48,10 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """Return the line in which a verb refuses. `log check` prints its finding on standard output, with exit code 1."""
+    """Return the error line that a command prints when it refuses a log.
+
+    `log check` prints its finding on standard output and has exit code 1.
+    """
     checks = words[:2] == ("log", "check")
     assert main(words) == (1 if checks else 2), words
     out, err = capsys.readouterr()

@@ -1,4 +1,4 @@
-"""Hostile files: every verb that reads a log ends with one clear line, within a second and 256 MiB."""
+"""Every command that reads a log ends with one clear line for a hostile file, within a second and 256 MiB."""
 
 import json
 import subprocess
@@ -14,7 +14,10 @@ from handctl.log.record import FRAMING, pack_tick_record
 from handctl.log.write.writer import LogWriter
 
 CODES = {"log recover": (1, 2, 3), "log check": (1, 2, 3), "replay drive": (2, 4), "view --save": (2, 3)}
-"""Exit codes of verbs with another finding than a bad input. The logs name no hand, which `drive` checks first."""
+"""Exit codes of commands whose result is not that of bad input.
+
+The logs name no hand, which `replay drive` checks first.
+"""
 PROBE = """
 import contextlib, io, json, resource, sys, time
 from pathlib import Path

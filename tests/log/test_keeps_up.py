@@ -1,4 +1,4 @@
-"""Eleven motors at 1 kHz in real time with raw frames: the recorder keeps up on one core."""
+"""The recorder keeps up with eleven motors at 1 kHz in real time, with raw frames and on one processor core."""
 
 import multiprocessing
 import os
@@ -11,11 +11,11 @@ from benchmarks.writers.sustained import sustained
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 SECONDS = 30.0 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1.0
 FRAMES = 24
-"""A tick: eleven commands and their answers, a SYNC, and the load cells."""
+"""Number of frames in a tick: eleven commands and their replies, a SYNC, and one frame of load cells."""
 
 
 def test_nothing_is_dropped_and_the_recorder_has_a_core_to_spare(tmp_path: Path) -> None:
-    with multiprocessing.get_context("spawn").Pool(1) as pool:  # a loop locks the memory of its process
+    with multiprocessing.get_context("spawn").Pool(1) as pool:  # a loop locks its process's memory
         result = pool.apply(sustained, (tmp_path / "run.mcap", SECONDS))
     assert (result["dropped"], result["lost"]) == (0, 0)
     assert result["ticks"] == result["ticks_in_log"] > 0.9 * 1000 * SECONDS

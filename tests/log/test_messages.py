@@ -1,4 +1,4 @@
-"""Every message equals the bytes of mcap-ros2-support and rosbags."""
+"""Every message of a log equals the bytes that mcap-ros2-support and rosbags write."""
 
 import struct
 from pathlib import Path
@@ -21,7 +21,7 @@ STANDARD = ("builtin_interfaces", "std_msgs", "geometry_msgs", "tf2_msgs", "sens
 
 
 STATES = {30: b"one state", 136: bytes(range(256)) * 100}
-"""Snapshots of the run, by the ticks that they follow."""
+"""Snapshots of the run by the number of the tick that precedes them."""
 
 
 @pytest.fixture(scope="module")

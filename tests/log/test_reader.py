@@ -1,4 +1,7 @@
-"""A log reads back exactly as recorded. A bad log gives one LogError, in short time and little memory."""
+"""A log is read exactly as it was recorded.
+
+A bad log raises one LogError, within a short time and with little memory.
+"""
 
 import contextlib
 import itertools
@@ -59,7 +62,10 @@ def test_every_field_comes_back_bit_for_bit(lively_log: Path, cached: bool, monk
 
 
 def test_a_log_without_the_latest_fields_is_read(lively_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulate a version with a further field, which this log lacks, as logs of version 0.1 lack q_sigma."""
+    """A later version may have a field that an older log lacks, as logs of version 0.1 lack q_sigma.
+
+    The field is then NaN.
+    """
     recorded = [out.telemetry for _, out in lively.ticks(lively.header())]
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
     for module in ("batch", "read.reader"):

@@ -1,4 +1,4 @@
-"""A tick passes the pipe exactly, and other bytes are refused."""
+"""A tick passes unchanged through the pipe to the recorder. Bytes that are no tick are refused."""
 
 import contextlib
 import math

@@ -1,4 +1,4 @@
-"""The recorder survives the controller, never delays it, and reports failed writes."""
+"""The recorder survives the end of the controller, never delays it, and reports failed writes."""
 
 import os
 import random
@@ -35,7 +35,10 @@ FEEDER = Path(__file__).with_name("feeder.py")
 
 @pytest.fixture
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Recorder]]:
-    """Start recorders with an unprivileged pipe, and end all of them after the test."""
+    """Yield a function that starts a recorder with a pipe of unprivileged size.
+
+    All recorders are ended after the test.
+    """
     started: list[Recorder] = []
     monkeypatch.setattr("handctl.log.write.recorder.PIPE_BYTES", PIPE_BYTES[-1:])
 
@@ -71,7 +74,7 @@ def _finished(path: Path) -> bool:
 def test_a_recorder_that_does_not_start_in_time_is_named(
     start: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The error is that the file cannot be written, with "no answer" as the reason."""
+    """The error gives the time in which the recorder has not started, and asks for a computer with less load."""
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
@@ -185,7 +188,8 @@ def test_a_stalled_recorder_never_holds_up_the_controller(start: Callable[..., R
 
 
 def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(start: Callable[..., Recorder]) -> None:
-    # The run waits for a full pipe and loses nothing. An event would make two equal runs differ.
+    # The run waits while the pipe is full, and loses nothing. An event about this would make two
+    # equal runs differ.
     recorder = start(deterministic=True)
     os.kill(recorder._child.pid, signal.SIGSTOP)
     events, sent = [], 0
@@ -275,7 +279,7 @@ def test_a_file_that_cannot_be_created_is_refused(start: Callable[..., Recorder]
 LIMIT_BYTES = 800_000
 """Largest size of a file, which simulates a full disk [bytes].
 
-Some chunks of these runs fit, but not all.
+Some of the chunks of a run fit into this size, but not all.
 """
 
 
@@ -304,7 +308,7 @@ def test_a_failed_write_is_announced_and_ends_the_file(start: Callable[..., Reco
 
 @pytest.fixture
 def tiny_disk(tmp_path: Path) -> Iterator[Path]:
-    """Mount a disk of two megabytes."""
+    """Mount a disk of two megabytes, and return its folder."""
     disk = tmp_path / "disk"
     disk.mkdir()
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True)
@@ -358,7 +362,7 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -
     writer._reserved.release()
     assert _until(lambda: shutil.disk_usage(tiny_disk).free > 256 << 10, 5.0)
     writer.finish("finished", 0)
-    os.close(syncer._request_pipe)  # ends its process
+    os.close(syncer._request_pipe)  # ends the syncer's process
 
 
 def test_recording_a_tick_is_fast(start: Callable[..., Recorder]) -> None:
@@ -375,7 +379,7 @@ def test_recording_a_tick_is_fast(start: Callable[..., Recorder]) -> None:
 
 
 def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
-    """A run waits for its recorder.
+    """The recorder imports no compiler, because a run waits for the start of its recorder.
 
     Regression: the recorder imported numba, llvmlite and scipy to check a single text.
     """

@@ -1,4 +1,4 @@
-"""From a log cut at any byte, exactly the complete chunks before the cut are recovered."""
+"""If a log is cut at any byte, exactly the complete chunks before the cut are recovered."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,7 +19,10 @@ SAMPLE = 500
 
 @pytest.fixture(scope="module")
 def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a complete log of at most 68 KiB, to be cut at every byte. Without its URDF it has eight chunks."""
+    """Write a complete log of at most 68 KiB, which is cut at every byte, and return its path.
+
+    It has no URDF, so that it is small, and eight chunks.
+    """
     path = tmp_path_factory.mktemp("log") / "least.mcap"
     attachments = {"gains.toml": b"[motion]\nposition_error_m = 6e-4\n", "initial_state": bytes(range(64))}
     synthetic.write(path, synthetic.header(rate_hz=4, attachments=attachments), 1.75)
@@ -42,7 +45,7 @@ def _recovered(data: bytes, folder: Path) -> tuple[Recovery, Path]:
 
 
 def _chunk_starts(path: Path) -> dict[int, int]:
-    """Return the number of /tick messages in the first n chunks."""
+    """Return the number of /tick messages in the first n chunks, for every n."""
     scan, ticks = _scan(path), {0: 0}
     with RunLog(path) as log:
         for n in range(1, len(scan.chunks) + 1):

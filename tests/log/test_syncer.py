@@ -1,4 +1,4 @@
-"""Transfer of a file to the disk without waiting."""
+"""Test the transfer of a file to the disk, for which the writer does not wait."""
 
 import os
 import select

@@ -1,4 +1,4 @@
-"""Topics are complete, joined by sequence, independent of the chunks, and readable by other tools."""
+"""The topics of a log are complete, joined by sequence number, independent of chunks, and readable by other tools."""
 
 import json
 import math
@@ -34,7 +34,7 @@ def _write(
     flush_at: frozenset[int] = frozenset(),
     events: tuple[str, ...] = (),
 ) -> Path:
-    """Write a log without a process and with further chunk borders, and compare the reports of the writer."""
+    """Write a log in this process, with further chunk borders at ``flush_at``, and check the reports of the writer."""
     path.unlink(missing_ok=True)
     problems: list[str] = []
     writer = LogWriter(path, run, lambda event, number: problems.append(event), 1)

@@ -1,4 +1,7 @@
-"""Cost of the log: `python tests/log/timing.py` prints microseconds per tick on this machine, and asserts no limit."""
+"""Measure the cost of a log.
+
+`python tests/log/timing.py` prints microseconds per tick on this machine, and checks no limit.
+"""
 
 import tempfile
 import time
@@ -14,7 +17,7 @@ from handctl.log.write.writer import LogWriter
 
 
 def _per_item(number: int, work: Callable[[], object]) -> float:
-    """Return the best of three runs [us per item], in processor time."""
+    """Return the processor time of some work per item [us], the best of three runs."""
     spent = []
     for _ in range(3):
         start = time.process_time()
@@ -32,7 +35,7 @@ def _written(path: Path, run: synthetic.RunHeader, bodies: list[bytes]) -> None:
 
 
 def main() -> None:
-    """Measure packing, writing, lockstep through the pipe, and reading."""
+    """Measure the times to pack ticks, write a log, pass ticks through the pipe in lockstep, and read a log."""
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic.header(hand, rate_hz)
         ticks = list(synthetic.Synthetic(run, 10.0))

@@ -1,6 +1,7 @@
-"""A pytest plugin that puts the paper's Eq. 10 into this project's dynamics: as printed, or corrected.
+"""A pytest plugin that puts Eq. 10 of the paper into the dynamics of handctl, either as printed or corrected.
 
-Loaded by ``test_literal.py`` into a run of the tests of the model. HANDCTL_EQ10 selects the version.
+``test_literal.py`` loads it into a run of the tests of the model. The variable HANDCTL_EQ10 selects
+the version.
 """
 
 import os
@@ -14,7 +15,10 @@ PRESENT = dynamics._rigid_body_torque
 
 
 def eq10(digit, gravity, q, dq, ddq):
-    """Return all terms of the model except T_1."""
+    """Return the joint torques of a digit.
+
+    The first follows from Eq. 10 for T_1, the others are those of the model.
+    """
     _, tau2, tau3 = (*PRESENT(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]
     states = {"g": 1.0}

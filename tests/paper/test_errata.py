@@ -1,4 +1,4 @@
-"""Errata: Lagrange's equations by sympy, numbers by separate arithmetic, and no known misprint missing."""
+"""Test the errata of the paper: equations that sympy derives, numbers from separate arithmetic, and completeness."""
 
 from functools import cache
 
@@ -26,7 +26,7 @@ def symbolic(text: str) -> sp.Expr:
 
 @cache
 def energies() -> tuple[list[sp.Expr], sp.Expr]:
-    """Return kinetic energy of each link and potential energy, derived from the links' positions."""
+    """Return the kinetic energy of each link and the potential energy, derived from the positions of the links."""
     i, m, length, d = (PARAMETERS[k : k + 3] for k in (0, 3, 6, 9))
     kinetic, potential, x, y = [], sp.Integer(0), sp.Integer(0), sp.Integer(0)
     for k, angle in enumerate(ANGLES):
@@ -39,7 +39,7 @@ def energies() -> tuple[list[sp.Expr], sp.Expr]:
 
 
 def in_symbols(expression: sp.Expr) -> sp.Expr:
-    """Replace functions of time by the names in the formulas."""
+    """Return an expression with the formulas' names in place of functions of time."""
     for order in (2, 1, 0):
         expression = expression.subs(
             {sp.diff(angle, TIME, order): NAMED[f"{'d' * order}th{k + 1}"] for k, angle in enumerate(ANGLES)}
@@ -68,7 +68,7 @@ def test_corrected_torques_follow_from_the_lagrangian(i: int) -> None:
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
-    """With m3 = I3 = 0 two links remain, as in the thumb of this project."""
+    """With m3 = I3 = 0 the equations have two links, as the thumb of this project."""
     thumb = DigitModel.of(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
     states = {"g": 9.81, "I3": 0.0, "m3": 0.0, "L3": 1.0, "d3": 1.0, "th3": 0.3, "dth3": 5.0, "ddth3": 7.0}
@@ -188,7 +188,10 @@ def test_a_printed_number_of_the_abstract_is_judged_once(printed: str) -> None:
 
 
 def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:
-    """Compute tau_1 = g sum(m x) with x the distance of each centre of mass from joint 1, without dynamics code."""
+    """The expected value is tau_1 = g sum(m x), without dynamics code.
+
+    x is the distance of each centre of mass from joint 1.
+    """
     digit = motion.upright_digit("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
     held = 9.81 * float(np.array(digit.masses) @ (base + digit.coms[:, 0]))
@@ -197,7 +200,7 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:
-    """The paper's hand has no springs, so the judged value is the torque of the links."""
+    """The paper's hand has no springs, so its numbers are compared with the torque of the links alone."""
     fast = motion.closing_torques("index", motion.DURATIONS_S[-1])
     links = sum(fast.parts[part] for part in ("inertia", "Coriolis", "gravity"))
     found = {item.id: item for item in sections.page_items(None)}
@@ -212,7 +215,7 @@ def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
 
 
 def test_torques_convert_between_relative_and_absolute_angles() -> None:
-    """Check tau = S^T T and M_q = S^T M_theta S, as the page states."""
+    """The conversions are tau = S^T T and M_q = S^T M_theta S, as the page states."""
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)
     tau, torque = lagrange.joint_torques(digit, states), np.array(lagrange.model_torques(digit, states)).T

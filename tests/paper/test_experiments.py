@@ -1,4 +1,4 @@
-"""Experiments on the simulated bench, and the evaluation of their recordings."""
+"""Test the paper's experiments on the simulated hand, and the evaluation of their recordings."""
 
 import json
 import math
@@ -45,7 +45,7 @@ def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
 
 
 def fall(speed: float, after: float) -> TruthRecord:
-    """Return the ground truth of an object that rests, then moves with a speed [m/s], in rows of a millisecond."""
+    """Return the truth, in rows of 1 ms, of an object that rests until a time and then falls at a speed [m/s]."""
     t = np.arange(4000)
     z = -speed * np.maximum(0.0, t / 1000.0 - after)
     return TruthRecord({}, t * 1_000_000, np.column_stack([0 * z, 0 * z, z]), ("object/x", "object/y", "object/z"))

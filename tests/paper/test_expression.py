@@ -1,4 +1,4 @@
-"""Formulas as text: their values, dimensions and typesetting."""
+"""Test formulas that are written as text: their values, their dimensions and their typesetting."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,7 @@
-"""Figures: drawn, not empty, with named axes and the printed values marked."""
+"""Test the figures about the paper.
+
+They are drawn and not empty, their axes have names, and the printed values are marked.
+"""
 
 import re
 from pathlib import Path
@@ -35,7 +38,7 @@ def test_pictures_have_content_and_full_resolution(folder: Path, name: str) -> N
 
 @pytest.mark.parametrize("name", list(page.CAPTIONS))
 def test_nothing_is_drawn_outside_of_the_picture(folder: Path, name: str) -> None:
-    """Text that is cut off touches the border."""
+    """No dark pixel is at the border of a picture. A text that is cut off would touch the border."""
     picture = imread(folder / f"paper-{name}.png")[..., :3]
     frame = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
     assert frame.min() > 0.99
@@ -50,7 +53,7 @@ def test_svg_is_the_same_each_time_and_names_no_place(folder: Path, name: str) -
 
 
 def test_units_and_printed_values_are_in_the_figures(folder: Path) -> None:
-    """Comments in matplotlib's SVG contain the texts, which are drawn as paths."""
+    """matplotlib draws texts in an SVG as paths. Comments beside the paths contain the texts."""
     wanted = {
         "fig2-model": ["X [mm]", "L₁ = 30 mm", "L₃ = 10 mm", "palm"],
         "fig3-path": ["X [mm]", "Y [mm]", "55 mm"],

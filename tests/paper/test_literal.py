@@ -1,4 +1,4 @@
-"""The paper's Eq. 10, taken literally, fails the tests of the model."""
+"""The tests of the dynamic model fail with the paper's Eq. 10 exactly as it is printed."""
 
 import os
 import re
@@ -19,7 +19,10 @@ NEED_EQ10 = {
 
 
 def outcome(which: str) -> tuple[set[str], str]:
-    """Return the names of failed tests with Eq. 10 as printed or corrected, and the last line."""
+    """Run the tests of the model with Eq. 10 as printed or corrected.
+
+    Return the names of failed tests, and the last line.
+    """
     command = [sys.executable, "-m", "pytest", "-p", "literal_eq10", "-p", "no:xdist", "-q", "-rf", "--tb=no"]
     run = subprocess.run(
         [*command, "-k", f"jamia and not jamia_bench and not jamia11 and ({TESTS})", "tests/hand/test_dynamics.py"],

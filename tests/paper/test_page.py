@@ -1,4 +1,7 @@
-"""Page about the paper: up-to-date Markdown, JSON with a schema, self-contained HTML."""
+"""Test the page about the paper.
+
+Its Markdown is up to date, its JSON has a schema, and its HTML needs no other file.
+"""
 
 import json
 import re
@@ -20,7 +23,10 @@ RESULTS = ROOT / "docs" / "evidence" / "paper-results.json"
 
 
 def test_the_page_in_the_repository_is_the_generator_s(capsys: pytest.CaptureFixture[str]) -> None:
-    """Compare every line, measured ones included. If this test fails, run the command that the page names."""
+    """Every line of the page is compared, also those with measured values.
+
+    If this test fails, run the command on the page.
+    """
     assert main(["paper", "--markdown", "--results", str(RESULTS)]) == 0
     assert PAGE.read_text(encoding="utf-8").splitlines() == capsys.readouterr().out.splitlines()
 

@@ -1,4 +1,4 @@
-"""Golden logs, and a fresh run with faults."""
+"""Fixtures with golden logs, and with a log of a new run with faults."""
 
 import sys
 from pathlib import Path
@@ -17,7 +17,7 @@ def golden() -> Path:
 
 @pytest.fixture(scope="session")
 def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record a grasp with a fault, a bus event and requests on this machine."""
+    """Record a grasp with a fault, a bus event and requests on this machine, and return the path of the log."""
     import runs
 
     from handctl.core.types import IoEvent

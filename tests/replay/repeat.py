@@ -1,4 +1,4 @@
-"""Repeatability of a grasp that is driven again, from both logs."""
+"""Compare a grasp and its repetition on a hand, from the logs of both."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +10,11 @@ from handctl.replay.motion_replay import active_interval
 from handctl.report.summary import mean_angles
 
 SETTLED_S = 0.4
-"""From the start of a hold until the grasp is at rest."""
+"""Time from the start of a hold until the grasp is at rest [s]."""
 
 
 def mean_angle_differences(before: RunLog, after: RunLog) -> NDArray[np.float64]:
-    """Return the difference of the mean joint angle of each digit (times, digits) [deg]."""
+    """Return the difference of both runs in the mean joint angle of each digit (times, digits) [deg]."""
     start, end = active_interval(before)
     times = np.arange(0.0, end - start, 0.005)
     hand = load_hand(before.header.metadata["hand"])
@@ -26,7 +26,7 @@ def mean_angle_differences(before: RunLog, after: RunLog) -> NDArray[np.float64]
 
 
 def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean tensions (tendons,) of both runs while the grasp is at rest [N]."""
+    """Return the mean tensions (tendons,) [N] of both runs in the time in which the grasp is at rest."""
     starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
     start, _ = active_interval(before)
     at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start
@@ -34,7 +34,7 @@ def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], N
 
 
 def start_of_repetition_s(log: RunLog) -> float:
-    """Return the start of the repetition [s]."""
+    """Return the time in a log at which the repetition of the recorded motion starts [s]."""
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 
 

@@ -1,4 +1,4 @@
-"""Short runs in lockstep, and the golden logs: `python tests/replay/runs.py logs/golden` writes new ones."""
+"""Short runs in lockstep, and the golden logs. `python tests/replay/runs.py logs/golden` writes new golden logs."""
 
 import sys
 import tempfile
@@ -65,10 +65,10 @@ sink_speed_m_s = 0.2
 
 @dataclass
 class PeerWithLostReplies:
-    """A peer whose replies with one identifier are lost from some time on.
+    """A lockstep peer whose replies with one identifier are lost from some time on.
 
     Attributes:
-        peer: the intact peer.
+        peer: the peer without lost replies.
         can_id: identifier of the lost replies.
         since_ns: start of the loss [ns].
     """
@@ -78,17 +78,17 @@ class PeerWithLostReplies:
     since_ns: int
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the peer, and drop the lost replies."""
+        """Step the peer, and return its replies without the lost ones."""
         replies = self.peer.step(t_ns, frames)
         return [reply for reply in replies if t_ns < self.since_ns or Frame(*reply).can_id != self.can_id]
 
     def close(self) -> None:
-        """Close the peer."""
+        """Close the peer without lost replies."""
         self.peer.close()
 
 
 def short_task(folder: Path) -> TaskProgram:
-    """Write the grasp of these runs."""
+    """Return the program of the short grasp of these runs. Its task is written into a folder."""
     path = folder / "task.toml"
     path.write_text(TASK)
     return TaskProgram(load_task(path))
@@ -107,16 +107,16 @@ def run(
     requests: dict[int, tuple[str, ...]] | None = None,
     truth: Path | None = None,
 ) -> State:
-    """Run a program on a homed hand that meets a cylinder.
+    """Run a program in lockstep on a simulated hand that closes on a cylinder, and record a log.
 
     Args:
-        log: file to write, without data about machine and date.
-        program: the program.
-        hand, rate_hz, seed: parameters of the run.
-        friction: friction of the cylinder.
-        spoil: wraps the simulator in a faulty peer.
-        io_events, requests: io events and requests by tick.
-        truth: file for the truth.
+        log: path of the log. It contains nothing about the machine and the date.
+        program: the program to run.
+        hand, rate_hz, seed: name of the hand, control rate [Hz], and seed of the simulator.
+        friction: friction coefficient of the cylinder.
+        spoil: function that wraps the simulator in a peer with a fault.
+        io_events, requests: events of buses and host, and requests, by the number of the tick.
+        truth: path of the truth file, None for none.
     """
     described = load_hand(hand)
     plan = Plan(described, Gains(), rate_hz, ())
@@ -160,7 +160,7 @@ def run(
 
 
 def peer_with_silent_index(peer: Peer) -> Peer:
-    """Return a peer whose index motor is silent from 2.2 s on, during the hold."""
+    """Return a peer whose index motor sends no replies from 2.2 s on. This is during the hold."""
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 
 

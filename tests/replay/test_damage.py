@@ -1,4 +1,4 @@
-"""A changed byte is named by its first tick, even if every checksum was adjusted."""
+"""A changed byte in a log is reported with the first tick that it affects, even if every checksum was adjusted."""
 
 import json
 import zlib
@@ -31,7 +31,7 @@ def _chunks(path: Path) -> tuple[LogFile, RecordScan]:
 
 
 def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
-    """Change a byte of a message. With `fitting`, all checksums are adjusted, as a forger would do."""
+    """Change a byte in the message of tick k. With `fitting`, all checksums are adjusted, as a forger would do."""
     file, scan = _chunks(path)
     names = {name: number for number, _, name, _, _ in schemas_and_channels(file.content(scan.chunks[0])).channels}
     for chunk in scan.chunks:
@@ -47,7 +47,7 @@ def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
 
 
 def _put(path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fitting: bool) -> None:
-    """Write the chunk with other bytes into a file that ends without its last checksum."""
+    """Write a log in which a chunk has other bytes. The file ends without its last checksum."""
     raw = path.read_bytes()
     packed = lz4.frame.compress(bent)
     head = bytearray(raw[chunk.offset : chunk.data])

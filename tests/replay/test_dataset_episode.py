@@ -1,4 +1,7 @@
-"""An episode of a LeRobot dataset as a program: followed in lockstep, and refused where it does not suit the hand."""
+"""Test episodes of a LeRobot dataset as programs.
+
+A hand follows them in lockstep, and an episode that does not suit the hand is refused.
+"""
 
 import json
 from pathlib import Path
@@ -27,20 +30,20 @@ HAND = load_hand("jamia")
 
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
-    """Return a dataset of two episodes, a fault and a grasp."""
+    """Return the folder of a dataset with two episodes: a run with a fault, and a grasp."""
     with RunLog(LOGS / "jamia-fault.mcap") as one, RunLog(LOGS / "jamia-grasp.mcap") as two:
         export_lerobot([one, two], tmp_path / "data")
     return tmp_path / "data"
 
 
 def actions(dataset: Path, episode: int) -> np.ndarray:
-    """Return the joint angles (frames, J) of an episode [rad]."""
+    """Return the joint angles (frames, J) in the actions of an episode [rad]."""
     table = pq.read_table(dataset / "data" / "chunk-000" / "file-000.parquet").to_pylist()
     return np.array([row["action"][: len(HAND.joints)] for row in table if row["episode_index"] == episode])
 
 
 def change(dataset: Path, frame: int, joint: int, value: float) -> None:
-    """Change one angle of an action of the first episode."""
+    """Change one joint angle in the action of a frame."""
     path = dataset / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(path)
     rows = table["action"].to_pylist()
@@ -50,7 +53,7 @@ def change(dataset: Path, frame: int, joint: int, value: float) -> None:
 
 
 def sine_dataset(dataset: Path) -> np.ndarray:
-    """Write a smooth motion into the first episode. Return its angles (frames, J) [rad]."""
+    """Replace the actions of the first episode by a smooth motion, and return its angles (frames, J) [rad]."""
     path = dataset / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(path)
     rows = np.array(table["action"].to_pylist())
@@ -70,7 +73,7 @@ def test_the_curve_passes_through_the_actions(dataset: Path) -> None:
     np.testing.assert_allclose(recording.q[rows[exact]], wanted[exact], atol=1e-6)
     np.testing.assert_allclose(recording.dq[0], 0.0, atol=1e-9)
     slope = np.diff(recording.q, axis=0) / PERIOD
-    np.testing.assert_allclose(slope[:-10], recording.dq[1:-10], atol=0.3)  # the motion stops at the end
+    np.testing.assert_allclose(slope[:-10], recording.dq[1:-10], atol=0.3)  # near its end the motion stops
 
 
 def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
@@ -124,7 +127,7 @@ def test_jumps_become_ramps_by_a_speed(dataset: Path) -> None:
 
 
 def edit(dataset: Path, **fields: object) -> None:
-    """Change fields of the description."""
+    """Change fields in the description of a dataset."""
     path = dataset / "meta" / "info.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | fields))
 

@@ -1,4 +1,4 @@
-"""Comparison of two runs, and integrity of a log."""
+"""Test the comparison of two runs, and the check that a log is intact."""
 
 from pathlib import Path
 from unittest.mock import PropertyMock, patch
@@ -26,7 +26,8 @@ def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
 def test_a_lost_object_is_seen_in_the_hold_phase(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-lost.mcap") as b:
         compared = compare_logs(a, b, "b")
-    # The angles of a digit in contact follow from its tension: a newton changes them by some degrees.
+    # The joint angles of a digit in contact follow from its tension. One newton changes them by
+    # some degrees.
     assert compared["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
     assert compared["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
 
@@ -83,7 +84,7 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
 
 
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
-    """Two runs of a joint at rest share noise, and some shift always fits best."""
+    """A joint at rest has only noise in both runs. Some shift in time always fits best, but this is no delay."""
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     wave = np.sin(np.linspace(0.0, 9.0, 420))
     before = np.column_stack([noise[0], 0.1 + noise[0], wave[20:] + noise[0]])
@@ -95,7 +96,10 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
 
 
 def test_unknown_differences_are_not_printed() -> None:
-    """For phases of one or two ticks the differences are NaN. A run that is ahead is not "-10 ms behind"."""
+    """In phases of one or two ticks the differences are NaN and are not printed.
+
+    The delay of a run that is ahead is not printed as "-10 ms behind".
+    """
     unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     ahead = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
     with_it = ahead | {"delay_s": -1e-6}

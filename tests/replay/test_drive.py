@@ -1,4 +1,4 @@
-"""A recorded grasp driven again on the simulated hand."""
+"""Test a recorded grasp that a simulated hand performs again."""
 
 from pathlib import Path
 
@@ -19,7 +19,10 @@ from handctl.replay.motion_replay import active_interval, compare_replay, playba
 
 @pytest.fixture(scope="module")
 def replayed(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Drive the golden grasp again at another rate and with other noise."""
+    """Let a simulated hand perform the golden grasp again at another rate and with other noise.
+
+    Return the path of the log.
+    """
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
     with RunLog(golden / "jamia-grasp.mcap") as before:
         state = runs.run(path, playback_program(before, 1 / 250, raw=False), rate_hz=250.0, seed=5)

@@ -1,7 +1,9 @@
-"""A recorded grasp driven again, judged by the simulator's truth: angles, tensions and forces of the plant.
+"""Test a recorded grasp that is performed again.
 
-Both runs are in lockstep, therefore the figures are constant. The second run has another rate and
-other noise.
+The truth of the simulator gives the angles, tensions and forces of both runs.
+
+Both runs are in lockstep, so their numbers never change. The second run has another rate and other
+noise.
 """
 
 from dataclasses import dataclass
@@ -23,7 +25,7 @@ DIGITS = ("index", "middle", "ring", "thumb")
 
 @dataclass(frozen=True)
 class Pair:
-    """A run and its replay: logs, and truths over the same interval."""
+    """A run and its repetition: their logs, and their truths over the same interval."""
 
     folder: Path
     raw: bool
@@ -37,7 +39,7 @@ class Pair:
         return self.folder / f"again-{self.raw}.mcap"
 
     def truths(self, *names: str) -> tuple[Array, Array, Array]:
-        """Return times since the start of the interval [s], and both truths (times, names)."""
+        """Return times since the start of the interval [s], and the named columns of both truths (times, names)."""
         with RunLog(self.folder / "first.mcap") as before, RunLog(self.repeat) as after:
             recorded_start, end = active_interval(before)
             start = next(change.t_ns for change in after.phases if change.name == "playback")
@@ -50,14 +52,14 @@ class Pair:
         )
 
     def at_rest(self) -> tuple[float, float]:
-        """Return the rest of the grasp, since the start of the interval [s]."""
+        """Return start and end of the time in which the grasp is at rest, since the start of the interval [s]."""
         with RunLog(self.folder / "first.mcap") as before:
             starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
             start, _ = active_interval(before)
         return starts["hold"] + SETTLED_S - start, starts["release"] - start
 
     def mean_at_rest(self, *names: str) -> tuple[Array, Array]:
-        """Return both means (names,) while the grasp is at rest."""
+        """Return the means of the named columns (names,) of both runs while the grasp is at rest."""
         times, before, after = self.truths(*names)
         start, end = self.at_rest()
         inside = (times >= start) & (times <= end)
@@ -66,7 +68,7 @@ class Pair:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record the first run."""
+    """Record the first run, and return the folder of its log and truth."""
     made = tmp_path_factory.mktemp("pair")
     runs.run(made / "first.mcap", runs.short_task(made), rate_hz=200.0, truth=made / "first.truth")
     return made
@@ -74,7 +76,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", params=[False, True], ids=["trajectories", "tensions"])
 def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
-    """Return the first run and its repetition."""
+    """Return the first run and its repetition, which follows either trajectories or tensions."""
     made = Pair(folder, request.param)
     with RunLog(folder / "first.mcap") as before:
         program = playback_program(before, 1 / RATE_HZ, made.raw)
@@ -84,9 +86,12 @@ def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
 
 
 def test_second_replay_gives_the_same_log(pair: Pair) -> None:
-    """Tensions alone leave a digit free on its way: half a newton is six degrees of its springs.
+    """If only tensions are repeated, a digit in motion is not held at an angle.
 
-    At first touch, one newton moves the estimated angles of a digit's joints by two degrees more.
+    Half a newton moves its springs by six degrees.
+
+    At the first contact of a digit, one newton moves the estimated angles of its joints by two
+    degrees more.
     """
     compared = pair.compare_replay()
     worst = {"joint_deg": 12.0, "tendon_N": 13.0} if pair.raw else {"joint_deg": 3.0, "tendon_N": 13.0}
@@ -98,7 +103,10 @@ def test_second_replay_gives_the_same_log(pair: Pair) -> None:
 
 @pytest.mark.parametrize("digit", DIGITS)
 def test_second_replay_gives_the_same_truth(pair: Pair, digit: str) -> None:
-    """Compare the mean angle of a digit. Contact and friction decide how a tendon's motion divides among its joints."""
+    """The mean joint angle of each digit is compared.
+
+    Contact and friction decide how the motion of a tendon is divided among the joints.
+    """
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
     _, before, after = pair.truths(*joints)
     apart = np.degrees(np.abs(after.mean(axis=1) - before.mean(axis=1)))

@@ -1,4 +1,8 @@
-"""Re-execution: equal to the last bit without a change, and the first relevant tick after a change."""
+"""Test the execution of a log's ticks.
+
+Without a change the result is equal to the last bit, and after a change the first affected tick is
+found.
+"""
 
 import math
 import subprocess
@@ -47,7 +51,7 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh: Pat
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_logs_decide_the_same_within_1e_9(golden: Path, name: str) -> None:
-    """Golden logs come from another machine, whose processor may round the last bits differently."""
+    """The golden logs come from another machine. Its processor may round the last bits differently."""
     with RunLog(golden / f"{name}.mcap") as log:
         assert not log.warning
         result = execute_log(log)
@@ -57,7 +61,10 @@ def test_golden_logs_decide_the_same_within_1e_9(golden: Path, name: str) -> Non
 
 
 def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh: Path) -> None:
-    """The integral of the tension loop acts from the first tick of the tightening on, not before."""
+    """The changed gain is that of the tension loop's integral.
+
+    It acts from the first tick of the tightening on, not before.
+    """
     with RunLog(fresh) as log:
         gains = logged_gains(log)
         one_bit = math.nextafter(gains.tension.integral_per_s, math.inf)

@@ -1,4 +1,7 @@
-"""Gains set during a run, and identified parameters, are in the log: the run repeats to the last bit."""
+"""A log contains the gains that were set during its run, and identified parameters.
+
+The run therefore repeats to the last bit.
+"""
 
 from pathlib import Path
 
@@ -36,7 +39,10 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
 
 
 def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
-    """Return the calibration of a homed hand whose drives make ``torque_gain`` of what they are told."""
+    """Return the calibration of a hand with known motor zeros.
+
+    Its drives make the fraction ``torque_gain`` of a command.
+    """
     calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     identified = Identified(names=("torque_gain",), values=(torque_gain,), half_widths=(0.01,), covariance=((1e-4,),))
     return Calibration(
@@ -49,9 +55,9 @@ def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
 
 
 def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tmp_path: Path) -> None:
-    """Drives produce 0.8 of the command.
+    """The drives make 0.8 of each commanded torque.
 
-    The controller has this factor as identified value, and commands a quarter more.
+    The controller knows this factor as an identified value, so it commands a quarter more.
     """
     hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
     plan = Plan(hand, Gains(), 500.0, ())
@@ -69,7 +75,10 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tm
 
 @pytest.mark.parametrize("torque_gain", [0.72, 1.35])
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
-    """A drive reports its nominal torque. Regression: its difference to the corrected command was reported as N14."""
+    """A drive reports its nominal torque, which differs from the corrected command.
+
+    Regression: this was the fault N14.
+    """
     hand = load_hand("jamia")
     plan = Plan(hand, Gains(), 500.0, ())
     program = JogProgram(HoldTension(do="hold", tension_N={"index": 75.0}), 2.0)

@@ -1,4 +1,7 @@
-"""Ten minutes with faults, executed again, nightly. `python tests/replay/test_long.py OUT.mcap` keeps the log."""
+"""Record ten simulated minutes with injected faults, and execute the log again. This test runs at night.
+
+`python tests/replay/test_long.py OUT.mcap` keeps the log.
+"""
 
 import random
 import sys
@@ -23,14 +26,17 @@ MOVE = '[[phase]]\nkind = "move"\nname = "move {n}"\nangle_deg = {angle:.3f}\ndu
 
 @dataclass
 class LossyPeer:
-    """A peer that loses one reply in two hundred, and sometimes the replies of two ticks, which does not end a run."""
+    """A lockstep peer that loses one reply in two hundred, and sometimes all replies of two ticks.
+
+    Such losses do not end a run.
+    """
 
     peer: Peer
     chance: random.Random = field(default_factory=lambda: random.Random(6))
     silent: int = 0
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the peer, and drop the lost replies."""
+        """Step the peer, and return its replies without the lost ones."""
         replies = self.peer.step(t_ns, frames)
         if self.chance.random() < 0.002:
             self.silent = 2
@@ -38,12 +44,15 @@ class LossyPeer:
         return [reply for reply in replies if self.silent < 0 and self.chance.random() > 0.005]
 
     def close(self) -> None:
-        """Close the peer."""
+        """Close the peer without lost replies."""
         self.peer.close()
 
 
 def write(log: Path) -> None:
-    """Record ten minutes: a grasp, then moves. Frames are lost throughout, and a motor falls silent at the end."""
+    """Record ten minutes with a grasp and many moves.
+
+    Frames are lost all the time, and a motor falls silent at the end.
+    """
     chance = random.Random(7)
     moves = [MOVE.format(n=n, angle=chance.uniform(2.0, 60.0)) for n in range(int((SECONDS - 4) / 2))]
     task = log.with_suffix(".task.toml")

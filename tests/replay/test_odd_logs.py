@@ -1,4 +1,4 @@
-"""Logs with gaps, with values that the controller refuses, and of runs that ended early."""
+"""Test logs with gaps, logs with values that the controller refuses, and logs of runs that ended early."""
 
 import json
 import math
@@ -37,7 +37,7 @@ STOP = '{"do": "stop"}'
 
 @pytest.fixture(scope="module")
 def grasp(golden: Path) -> tuple[RunHeader, Ticks]:
-    """Return the golden grasp, tick by tick."""
+    """Return the header and the ticks of the golden grasp."""
     ticks: Ticks = []
     with RunLog(golden / "jamia-grasp.mcap") as log:
         execute_log(log, observer=lambda entry, out: ticks.append((entry, out)))

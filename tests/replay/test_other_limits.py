@@ -1,4 +1,4 @@
-"""Other limits on a recorded run."""
+"""Test a recorded run with other safety limits."""
 
 from pathlib import Path
 

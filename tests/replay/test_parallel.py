@@ -1,4 +1,7 @@
-"""Snapshots of the state in a log, and parallel re-execution from them with the result of a serial run."""
+"""Test snapshots of the state in a log.
+
+Parallel execution from the snapshots gives the result of a serial execution.
+"""
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -29,7 +32,10 @@ Both = Callable[..., tuple[Execution, Execution]]
 
 @pytest.fixture
 def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
-    """Execute the log with one process and with three, with a faulty controller."""
+    """Return a function that executes a log with one process and with three.
+
+    A change may spoil the controller's state.
+    """
 
     def run(change: Change | None = None) -> tuple[Execution, Execution]:
         original_tick = Controller.tick
@@ -48,12 +54,12 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
 
 
 def findings(execution: Execution) -> dict[str, Any]:
-    """Return all results except the times."""
+    """Return all results of an execution except its times."""
     return {name: value for name, value in asdict(execution).items() if name not in ("wall_s", "cpu_s")}
 
 
 def spoil(field: str, at: int) -> Change:
-    """Change a field of the second tendon before a tick."""
+    """Return a change that spoils a field of the second tendon before tick ``at``."""
 
     def change(before: State, entry: TickIn) -> None:
         if entry.k == at:
@@ -63,7 +69,7 @@ def spoil(field: str, at: int) -> Change:
 
 
 def test_a_snapshot_restores_the_state_unchanged(fresh: Path) -> None:
-    """Compare the bytes, the hash, and the next tick, in every tick of a run with faults and requests."""
+    """The bytes, the hash and the next tick agree in every tick of a run with faults and requests."""
     with RunLog(fresh) as log:
         controller = rebuild_controller(log)
         state = controller.initial()
@@ -104,7 +110,7 @@ def test_three_processes_find_no_difference_where_one_finds_none(both: Both) -> 
 
 @pytest.mark.parametrize("at", [150, 199, 200, 201, 330])
 def test_three_processes_find_the_first_difference_wherever_it_is(both: Both, at: int) -> None:
-    """Change a field in the part of each process, and at the border between two parts."""
+    """A field changes in the part of each process, and at the border between two parts."""
     one, three = both(spoil("travel", at))
     assert one.first is not None
     assert findings(three) == findings(one)

@@ -1,4 +1,4 @@
-"""Made-up runs and truths for the report, with numbers that can be checked by hand."""
+"""Invented runs and truths for tests of the report. Their numbers can be checked by hand."""
 
 import json
 from pathlib import Path
@@ -50,7 +50,7 @@ class MadeUpLog:
 
 
 def truth_of(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
-    """Create a truth of zeros, one row per tick, a little longer than the run at both ends."""
+    """Create a truth with one row of zeros per tick. It has two rows more than the run at each end."""
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
     columns += [f"contact_force/{name}/{axis}" for name in hand.digit_names for axis in "xyz"]
@@ -60,14 +60,17 @@ def truth_of(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
 
 
 def set_column(truth: TruthRecord, name: str, values: np.ndarray | float) -> None:
-    """Set a column over the ticks of the run. The rows beyond both ends are unchanged."""
+    """Set a column of a truth over the ticks of the run.
+
+    The rows outside the run get the first and the last value.
+    """
     column = truth.values[:, truth.columns.index(name)]
     column[2:-2] = values
     column[:2], column[-2:] = column[2], column[-3]
 
 
 def write_truth(path: Path, truth: TruthRecord) -> None:
-    """Write a truth file as a simulator does."""
+    """Write a truth to a file in the form in which a simulator writes it."""
     rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
     rows["t_ns"], rows["v"] = truth.t_ns, truth.values
     path.write_bytes(json.dumps({"columns": list(truth.columns)}).encode() + b"\n" + rows.tobytes())

@@ -1,4 +1,4 @@
-"""Late and lost frames counted from a log: a golden run with delayed or removed frames."""
+"""Test the counts of late and lost frames in a log. Frames of a golden run are delayed or removed."""
 
 from collections.abc import Iterator
 from itertools import islice
@@ -34,7 +34,7 @@ def counted(ticks: list[TickRecord]) -> tuple[int, ...]:
 
 
 def without(ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]:
-    """Return the ticks without the first tension frame of one of them, and this frame."""
+    """Return ticks of which one has lost its first tension frame, and this frame."""
     first_tension_frame = make_sensors(HAND).ids[0]
     entry = ticks[at].tick_in
     [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]
@@ -67,7 +67,7 @@ def test_a_refused_frame_is_lost(ticks: list[TickRecord]) -> None:
 
 
 def test_a_paused_simulator_causes_a_tick_without_frames(ticks: list[TickRecord]) -> None:
-    """Move the replies of one tick to the next."""
+    """The replies of a tick arrive in the next tick."""
     entry, following = ticks[300].tick_in, ticks[301].tick_in
     ticks = [*ticks]
     ticks[300] = ticks[300]._replace(tick_in=entry._replace(frames=()))

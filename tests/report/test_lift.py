@@ -1,4 +1,4 @@
-"""Judgement of a lift by the motion of the table, and of the object in the hand."""
+"""Test how a lift is judged by the motion of the table and by the motion of the object in the hand."""
 
 from dataclasses import replace
 from typing import Any
@@ -13,11 +13,11 @@ from tests.report.made_up import JAMIA, MadeUpLog, set_column, truth_of
 
 TICKS = 400
 SINKS, ENDS = 200, 350
-"""Ticks at which the table begins to sink and at which the hold ends."""
+"""Tick in which the table begins to sink, and tick in which the hold ends."""
 
 
 def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, TruthRecord]:
-    """Create a truth in which table and object sink linearly from SINKS to the end of the hold."""
+    """Create a log and a truth in which table and object sink linearly from SINKS to the end of the hold."""
     log = MadeUpLog(JAMIA, TICKS, {0: "close", 100: "carry", ENDS: "release"})
     truth = truth_of(JAMIA, TICKS)
     truth = replace(
@@ -25,8 +25,8 @@ def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, Tr
     )
     fall = np.interp(np.arange(TICKS), [SINKS, ENDS - 1], [0.0, 1.0])
     set_column(truth, "support", sunk_m * fall)
-    set_column(truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICKS) >= ENDS))  # a released object falls
-    set_column(truth, "object/x", 0.05 * (np.arange(TICKS) < 150))  # the object was pushed before the lift
+    set_column(truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICKS) >= ENDS))  # falls when released
+    set_column(truth, "object/x", 0.05 * (np.arange(TICKS) < 150))  # pushed before the lift
     return log, truth
 
 

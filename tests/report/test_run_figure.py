@@ -1,4 +1,4 @@
-"""The figure of a run is drawn from incomplete runs too."""
+"""The figure of a run can also be drawn from an incomplete run."""
 
 from pathlib import Path
 

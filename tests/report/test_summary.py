@@ -1,4 +1,4 @@
-"""Numbers of a run against numbers computed by hand."""
+"""Compare the numbers in the summary of a run with numbers that were computed by hand."""
 
 import math
 
@@ -19,7 +19,7 @@ def quiet() -> MadeUpLog:
 
 
 def hold_log(ramp: int = 20) -> MadeUpLog:
-    """Create a run of four seconds: home, then a hold with a rising target, index and thumb in contact."""
+    """Create a run of four seconds with a hold. Its tension goal rises, and index and thumb are in contact."""
     log = MadeUpLog(JAMIA, 400, {0: "home", 100: "hold", 300: "release"})
     for name in ("tension", "tension_raw", "tip_force"):
         log.fields[name][:] = 0.0
@@ -54,7 +54,7 @@ def test_summary_without_truth_has_nan() -> None:
 
 
 def test_a_truth_of_another_time_is_no_truth() -> None:
-    """An earlier simulator left its file behind on the same bus."""
+    """The truth file of an earlier simulator on the same bus may still exist. It is not used for a later run."""
     log = hold_log()
     result = summarise(log, JAMIA, truth_of(JAMIA, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
@@ -72,7 +72,7 @@ def test_the_mean_angle_weights_joints_by_their_moment_arms() -> None:
 
 def test_tracking_error_is_computed_in_free_motion_only() -> None:
     log, truth = quiet(), truth_of(JAMIA, 200, 7)
-    joints = slice(0, 3)  # the index
+    joints = slice(0, 3)  # joints of the index finger
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA.joints[joints]:
         motion = np.full(200, 0.49)
@@ -95,7 +95,7 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 
 
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
-    """The estimate belongs to the tick itself, the sample was taken one period before."""
+    """The estimate of a tick belongs to the time of the tick. The load-cell sample was taken one period before."""
     log, truth = quiet(), truth_of(JAMIA, 200)
     real = 20.0 + np.arange(200) * 0.1
     for name in JAMIA.tendon_names:
@@ -142,7 +142,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
     wave = np.where(np.arange(400) % 2, 1.5, -1.5)
     set_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
     set_column(truth, f"tension/{thumb}", 25.0 + 0.7)
-    set_column(truth, f"tension/{middle}", 3.0)  # without contact, its goal is only a feedforward
+    set_column(truth, f"tension/{middle}", 3.0)  # its goal is a feedforward without contact
     result = summarise(log, JAMIA, truth, 0)
     assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
     assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)
@@ -186,7 +186,10 @@ def test_rms_ignores_nan() -> None:
 
 
 def test_measured_load_equals_a_hand_calculation() -> None:
-    """In a classical frame of 8 bytes, 34 + 64 bits are stuffed at most once in four, 13 bits are not."""
+    """In a classical frame of 8 bytes, 34 + 64 bits get at most one stuff bit for four bits.
+
+    Its 13 other bits get none.
+    """
     log = quiet()
     one = (98 + 97 // 4 + 13) / 1e6
     assert measured_load(log, 1_000_000, None, [(8, False)] * 10) == pytest.approx(10 * one / 1.99)

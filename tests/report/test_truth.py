@@ -1,4 +1,4 @@
-"""Reader of truth files: complete, cut at every byte, or missing."""
+"""Test the reader of truth files with files that are complete, cut at any byte, or missing."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""Contract of every bus, as tests. A module that imports them defines the fixture ``medium``, the bus under test."""
+"""Tests of the contract that every bus must fulfil.
+
+A module that imports them defines the fixture ``medium``, the bus under test.
+"""
 
 import random
 import select
@@ -22,34 +25,34 @@ class Medium:
     """CAN bus on which several nodes can be opened.
 
     Attributes:
-        spec: for ``open_bus``.
-        opened: nodes to close after the test.
+        spec: specification of the bus, as ``open_bus`` takes it.
+        opened: functions that close the opened nodes after the test.
     """
 
     spec: str
     opened: list[Callable[[], None]] = field(default_factory=list)
 
     def open(self, index: int = 0, stamp: Callable[[int], int] = int) -> Bus:
-        """Open another node on the bus."""
+        """Open a further node on the bus with handctl."""
         bus = open_bus(self.spec, index, 1_000_000, 5_000_000, stamp=stamp)
         self.opened.append(bus.close)
         return bus
 
     def python_can(self) -> can.BusABC:
-        """Open another node that uses python-can only."""
+        """Open a further node on the bus with python-can alone."""
         interface, _, channel = self.spec.partition(":")
         bus = can.Bus(channel, interface=interface, fd=True, ignore_config=True)
         self.opened.append(bus.shutdown)
         return bus
 
     def close(self) -> None:
-        """Close all nodes."""
+        """Close all nodes that were opened on the bus."""
         for close in self.opened:
             close()
 
 
 def drain_bus(bus: Bus, count: int) -> list[Frame]:
-    """Read at least this many frames, or all that arrive in time."""
+    """Read frames until at least ``count`` have arrived or the time is over."""
     frames = list(bus.drain())
     end = time.monotonic() + WAIT_S
     while len(frames) < count and time.monotonic() < end:
@@ -117,7 +120,7 @@ def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
     for number in range(20):
         sender.send([Frame(number, b"")])
     stamps = [frame.t_ns - offset for frame in drain_bus(receiver, 20)]
-    slack = 20_000_000  # difference of wall clock and monotonic clock
+    slack = 20_000_000  # wall clock and monotonic clock may differ
     assert len(stamps) == 20
     assert stamps == sorted(stamps)
     assert start - slack <= stamps[0]

@@ -1,4 +1,4 @@
-"""Hubs for the tests of the local bus: the hub of the simulator as a process, and a scripted hub."""
+"""Hubs that serve the local bus in tests: the hub of the simulator as a process, and a hub that a test controls."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ RUN_DIR = "HANDCTL_RUN_DIR"
 
 @contextmanager
 def hub(name: str, folder: Path) -> Iterator[None]:
-    """Start the hub of the simulator, which serves ``local:NAME`` in this folder."""
+    """Run the hub of the simulator in a process. It serves ``local:NAME`` with its socket in a folder."""
     words = [sys.executable, "-m", "firmware_sim", "bus", name]
     environment = {**os.environ, RUN_DIR: str(folder)}
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
@@ -28,7 +28,7 @@ def hub(name: str, folder: Path) -> Iterator[None]:
 
 
 class ScriptedHub:
-    """A hub with one client. The test itself reads and writes its socket."""
+    """A hub of a local bus with one client. The test itself reads from and writes to the client."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -42,7 +42,7 @@ class ScriptedHub:
         return link
 
     def close(self) -> None:
-        """Close the listening socket."""
+        """Close the socket on which the hub accepts clients."""
         self._listener.close()
 
 

@@ -1,4 +1,4 @@
-"""Working folder, simulated hand and calibration for the processes of these tests."""
+"""Fixtures with a working folder, a simulated hand and a calibration for the processes of these tests."""
 
 import tempfile
 
@@ -10,7 +10,7 @@ from tests.runtime.processes import BUS, LONG, SCALE, SHORT, end, scaled, start_
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """Change to an empty folder, with sockets in a folder that has a short path."""
+    """Change to an otherwise empty folder with two tasks. Sockets are in another folder with a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.chdir(tmp_path)
@@ -21,7 +21,7 @@ def place(tmp_path, monkeypatch):
 
 @pytest.fixture
 def processes():
-    """Return a list of processes that are ended after the test."""
+    """Return a list to which a test adds its processes. They are ended after the test."""
     running = []
     yield running
     for process in reversed(running):
@@ -30,19 +30,19 @@ def processes():
 
 @pytest.fixture
 def scale(request, slower):
-    """Return the options for the time scale. A module may set its own ``SCALE``."""
+    """Return the command-line options for the time scale. A test module may set its own ``SCALE``."""
     return scaled(getattr(request.module, "SCALE", SCALE) * slower)
 
 
 @pytest.fixture
 def hand(place, processes, scale):
-    """Start a slowed simulated hand on the bus and return its truth file."""
+    """Start a simulated hand with the time scale on the bus, and return the path of its truth file."""
     processes.append(start_hand(place / "hand.truth", "--hand", "jamia", *scale))
     return place / "hand.truth"
 
 
 @pytest.fixture
 def calibrated(place):
-    """Return the options for a hand that starts homed, with its calibration."""
+    """Write the calibration of a simulated hand, and return the command-line options for a controller of this hand."""
     write_homed(place / "c.toml", load_hand("jamia"))
     return ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml")

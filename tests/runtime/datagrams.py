@@ -1,4 +1,4 @@
-"""A SocketCAN bus over datagram sockets, which have stamps and drop counters as CAN sockets do."""
+"""A SocketCAN bus over datagram sockets. Like CAN sockets, these have time stamps and count dropped frames."""
 
 import socket
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from handctl.runtime.buses.socketcan import SocketCanBus
 
 @contextmanager
 def datagram_bus(index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """Open a bus with an index. Return it with the socket of the other end."""
+    """Yield an open bus with an index, and the socket at its other end."""
     near, far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     near.bind(("127.0.0.1", 0))
     far.bind(("127.0.0.1", 0))

@@ -1,7 +1,8 @@
-"""Controllers killed or stopped at random times, one after the other, beside a simulated hand that goes on.
+"""Start controllers one after the other, and kill or stop each at a random time. The simulated hand goes on.
 
-Each controller is a process, forked from this one to save the imports. Its recorder and the simulator are
-processes as in any run. The truth of the simulator shows the reaction of the drives.
+Each controller is a process that is forked from this one, which saves its imports. Its recorder and
+the simulator are processes as in any run. The truth file of the simulator shows how the drives
+react.
 """
 
 import json
@@ -35,38 +36,38 @@ from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_ho
 SYNC = 0x080
 """CAN identifier of the SYNC frame, whose first byte is the tick count."""
 RECORD = 72
-"""Size of a frame on the local bus [bytes]."""
+"""Size of the record of a frame on the local bus [bytes]."""
 RATE_HZ = 500.0
 WATCHDOG_MS = 50.0
-"""Timeout of the drives' watchdog in the hand file. After it and ``DECAY_MS`` no torque may be left [ms]."""
+"""Timeout of the drives' watchdog in the hand file. No torque may be left after this time and ``DECAY_MS`` [ms]."""
 DECAY_MS = 4.0
-"""Decay of the motor current [ms]."""
+"""Time in which the current of a disabled motor decays [ms]."""
 MIN_TORQUE_N_M = 1e-3
-"""Torque above which a motor counts as driven [N m]."""
+"""Motor torque above which a motor counts as driven [N m]."""
 MIN_TAUT_N = 8.0
 """Tension above which a tendon counts as pulled [N]."""
 RELEASE_S = 0.3
-"""Time in which the fingers open after the watchdog [s]."""
+"""Time in which the fingers open after the watchdogs have removed the torque [s]."""
 MAX_DELAY_S = 1.8
-"""Longest delay of a disturbance after the first SYNC [s].
+"""Longest time from the first SYNC of a controller to the signal that disturbs it [s].
 
-In this time a run arms, bends the fingers and holds them.
+In this time a run arms the hand, bends its fingers and holds them.
 """
 WAIT_S = 60.0
-"""Longest wait for a process [s]."""
+"""Longest time that a test waits for a process [s]."""
 
 
 class DisturbedRun(NamedTuple):
-    """Record of one disturbed run.
+    """Record of one run of a controller that was disturbed by a signal.
 
     Attributes:
-        how: signal.
+        how: signal that was sent to the controller.
         before_ns: time of the simulator before the signal [ns].
         after_ns: time of the simulator after the signal [ns].
-        slipped_ns: time from then on in which the simulator with its drives did not run [ns].
-        on_bus: tick counts of the SYNC frames on the bus.
-        in_log: tick counts of the SYNC frames in the log.
-        warning: fault of the log as a file.
+        slipped_ns: time after the signal in which the simulator with its drives did not run [ns].
+        on_bus: tick counts of the SYNC frames that were on the bus.
+        in_log: tick counts of the SYNC frames that are in the log.
+        warning: text about a damaged or incomplete log file, empty for none.
     """
 
     how: signal.Signals
@@ -79,12 +80,12 @@ class DisturbedRun(NamedTuple):
 
 
 class KillVerdict(NamedTuple):
-    """One disturbed run compared with the truth.
+    """A disturbed run compared with the truth file of the simulator.
 
     Attributes:
         run: record of the run.
-        pulled: a tendon was under tension at the signal.
-        driven: a motor made torque at the signal.
+        pulled: whether a tendon was under tension at the signal.
+        driven: whether a motor made torque at the signal.
         off_ms: time from before the signal until no motor made torque [ms].
         late_ms: time from after the signal until no motor made torque [ms].
         tension: largest tension after the fingers have had time to open [N].
@@ -99,22 +100,25 @@ class KillVerdict(NamedTuple):
 
     @property
     def safe(self) -> bool:
-        """Return True if the torque was off within the watchdog of the drives."""
+        """Return True if no motor made torque after the watchdog time of the drives."""
         return self.late_ms <= WATCHDOG_MS + DECAY_MS
 
     @property
     def complete(self) -> bool:
-        """Return True if the log has every tick on the bus. The last one may be missing if its SYNC was just sent."""
+        """Return True if the log contains every tick on the bus.
+
+        The last tick may be missing if its SYNC was just sent.
+        """
         on_bus = self.run.on_bus
         in_log = self.run.in_log
         return not self.run.warning and len(on_bus) - len(in_log) in (0, 1) and on_bus.startswith(in_log)
 
 
 class Range:
-    """A simulator, and the plan from which each controller starts."""
+    """A simulated hand, and the plan from which each controller beside it starts."""
 
     def __init__(self, folder: Path, scale: float) -> None:
-        """Start the simulator with a time scale. Logs and truth go to a folder."""
+        """Start the simulator with a time scale. Its truth file and the logs are written to a folder."""
         self.folder = folder
         self.scale = scale
         hand = load_hand("jamia")
@@ -131,7 +135,7 @@ class Range:
         self.simulator = start_hand(self.truth, "--hand", "jamia", *scaled(scale))
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the time of the simulator, and the part of it in which the simulator did not run [ns]."""
+        """Return the time of the simulator, and the part of this time in which it did not run [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
@@ -156,7 +160,7 @@ class Range:
             os._exit(code)
 
     def disturb(self, number: int, how: signal.Signals, delay_s: float) -> DisturbedRun:
-        """Start a controller and send it a signal some time [s] after its first SYNC."""
+        """Start a controller, send it a signal ``delay_s`` after its first SYNC, and return the record of its run."""
         log = self.folder / f"{number}.mcap"
         with Listener() as listener:
             child = self.start(log)
@@ -181,20 +185,20 @@ class Range:
         return DisturbedRun(how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning)
 
     def judged(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
-        """Compare the runs with the truth of the simulator, which has ended."""
+        """Compare the runs with the truth file of the simulator. The simulator must have ended."""
         truth = read_truth(self.truth)
         return [verdict_of_kill(truth, run) for run in runs]
 
 
 class Listener:
-    """Another node on the bus, which collects the tick counts of all SYNC frames of the host.
+    """A further node on the bus that collects the tick counts of all SYNC frames of the controller.
 
     Attributes:
-        syncs: tick counts, one byte each.
+        syncs: tick counts of the SYNC frames, one byte each.
     """
 
     def __init__(self) -> None:
-        """Start without a SYNC."""
+        """Join the bus with an empty list of SYNC frames."""
         self.syncs = bytearray()
         self._partial = b""
 
@@ -228,7 +232,7 @@ class Listener:
         self._partial = self._partial[end:]
 
     def wait_for_sync(self, child: int) -> None:
-        """Wait for the first SYNC of a controller."""
+        """Wait until the process of a controller has sent its first SYNC."""
         until = time.monotonic() + WAIT_S
         while not self.syncs:
             assert os.waitpid(child, os.WNOHANG) == (0, 0), "the controller ended before the signal"
@@ -237,7 +241,7 @@ class Listener:
 
 
 def ended(child: int, listener: Listener) -> None:
-    """Wait for the end of a process. Terminate it if it does not end by itself."""
+    """Wait for the end of a controller process. Terminate it if it does not end without a signal."""
     until = time.monotonic() + 3.0
     while os.waitpid(child, os.WNOHANG) == (0, 0):
         if time.monotonic() > until:
@@ -247,7 +251,7 @@ def ended(child: int, listener: Listener) -> None:
 
 
 def read_syncs(path: Path) -> tuple[str, bytes]:
-    """Read a log once its recorder has ended. Return its warning and the tick counts of its SYNC frames."""
+    """Read a log after its recorder has ended. Return its warning and the tick counts of its SYNC frames."""
     until = time.monotonic() + 20.0
     while True:
         with RunLog(path) as log:
@@ -258,7 +262,7 @@ def read_syncs(path: Path) -> tuple[str, bytes]:
 
 
 def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
-    """Judge the reaction of the drives in one run."""
+    """Judge how the drives reacted to the signal in one run."""
     torque = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]]
     tension = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]]
     begin = np.searchsorted(truth.t_ns, run.before_ns)
@@ -276,7 +280,7 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
 
 
 def kills(folder: Path, times: int, seed: int, scale: float) -> list[KillVerdict]:
-    """Disturb a number of controllers beside one simulator, by SIGKILL and SIGSTOP in turn."""
+    """Disturb ``times`` controllers of one simulated hand, by SIGKILL and SIGSTOP in turn."""
     chance = random.Random(seed)
     place = Range(folder, scale)
     runs: list[DisturbedRun] = []
@@ -290,11 +294,11 @@ def kills(folder: Path, times: int, seed: int, scale: float) -> list[KillVerdict
 
 
 BATCH = 25
-"""Controllers beside one simulator. The truth of the simulator is read after each batch, and deleted."""
+"""Number of controllers beside one simulator. Its truth file is read after each batch and then deleted."""
 
 
 def batches(times: int, seed: int, scale: float) -> Iterator[list[KillVerdict]]:
-    """Disturb a number of controllers, ``BATCH`` beside each simulator."""
+    """Disturb ``times`` controllers. Each simulator has ``BATCH`` of them one after the other."""
     for first in range(0, times, BATCH):
         with tempfile.TemporaryDirectory(prefix="h-") as folder:
             os.environ["HANDCTL_RUN_DIR"] = folder
@@ -302,7 +306,7 @@ def batches(times: int, seed: int, scale: float) -> Iterator[list[KillVerdict]]:
 
 
 def summary(runs: list[KillVerdict]) -> str:
-    """Summarise the runs in one line."""
+    """Summarise disturbed runs in one line of text."""
     safe = sum(run.safe for run in runs)
     complete = sum(run.complete for run in runs)
     pulled = sum(run.pulled for run in runs)

@@ -1,4 +1,4 @@
-"""Real processes for the tests: a simulated hand, and handctl as another process."""
+"""Start real processes for tests: a simulated hand, and commands of handctl."""
 
 import datetime
 import json
@@ -17,19 +17,19 @@ from handctl.runtime.mailbox import Watcher
 from handctl.session.calibration import write_calibration
 
 READY_S = 60.0
-"""Longest start of a simulator [s]."""
+"""Longest time that a simulator may take to start [s]."""
 END_S = 200.0
-"""Longest run of a verb [s]."""
+"""Longest time that a command of handctl may run [s]."""
 BUS = "local:t"
 SCALE = 1.0
-"""Time scale of simulator and controller.
+"""Speed of time in simulator and controller, 1 for real time.
 
-The shared clock pauses where this machine is too slow.
+If the machine is too slow for it, the clock that both share pauses.
 """
 SERIAL = 0x4000
-"""First serial number of the simulated drives. Each drive adds its number on the bus."""
+"""Base of the simulated drives' serial numbers. Each drive adds its node number."""
 HOMED = ("--homed", "--serial", f"{SERIAL:#x}")
-"""Options of a simulated hand that a calibration of ``write_homed`` fits."""
+"""Options of a simulated hand for which ``write_homed`` writes the right calibration."""
 GO = 'schema = 1\nname = "short"\n'
 MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
 SHORT = GO + MOVE.format(name="bend", angle=25.0, duration=0.5) + MOVE.format(name="open", angle=0.0, duration=0.4)
@@ -37,12 +37,12 @@ LONG = GO + MOVE.format(name="bend", angle=40.0, duration=0.5) + MOVE.format(nam
 
 
 def scaled(scale: float) -> tuple[str, str]:
-    """Return the options for a simulator and a controller with a time scale."""
+    """Return the command-line options that give a simulator or a controller a time scale."""
     return "--time-scale", f"{scale:g}"
 
 
 def start_hand(truth: Path, *words: str, bus: str = BUS) -> "subprocess.Popen[str]":
-    """Start a simulated hand that serves a bus."""
+    """Start a simulated hand that serves a bus, and wait until it is ready."""
     command = [sys.executable, "-m", "firmware_sim", "--bus", bus, *HOMED, "--truth", str(truth), *words]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert process.stdout
@@ -52,19 +52,19 @@ def start_hand(truth: Path, *words: str, bus: str = BUS) -> "subprocess.Popen[st
 
 
 def start_handctl(*words: str) -> "subprocess.Popen[str]":
-    """Start a verb of handctl in its own process."""
+    """Start a command of handctl in a process."""
     command = [sys.executable, "-m", "handctl.cli", *words]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def handctl(*words: str, timeout_s: float = END_S) -> "subprocess.CompletedProcess[str]":
-    """Run a verb of handctl in its own process until it ends."""
+    """Run a command of handctl in a process until it ends."""
     command = [sys.executable, "-m", "handctl.cli", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
 
 
 def end(process: "subprocess.Popen[str]") -> None:
-    """End a process, if necessary by a kill, and close its pipes."""
+    """End a process and close its pipes. It is killed if it does not end."""
     if process.poll() is None:
         process.send_signal(signal.SIGTERM)
         try:
@@ -75,7 +75,7 @@ def end(process: "subprocess.Popen[str]") -> None:
 
 
 def result_of(process: "subprocess.Popen[str]", timeout_s: float = END_S) -> tuple[int, dict[str, object], str]:
-    """Wait for the end of a process and return its exit code, JSON output and standard error."""
+    """Wait for the end of a process, and return its exit code, its JSON output and its standard error."""
     out, err = process.communicate(timeout=timeout_s)
     return process.returncode, json.loads(out) if out else {}, err
 
@@ -92,12 +92,12 @@ def wait_for(phase: str, watcher: Watcher, process: "subprocess.Popen[str]", tim
 
 
 def sockets() -> list[str]:
-    """List the folder for sockets."""
+    """Return the names of all files in the folder for sockets."""
     return sorted(os.listdir(os.environ["HANDCTL_RUN_DIR"]))
 
 
 def write_homed(path: Path, description: Hand) -> None:
-    """Write a calibration for a hand that starts ``HOMED``: zero tares and zero offsets."""
+    """Write the calibration of a hand that starts with the options ``HOMED``. All its tares and offsets are zero."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     calibration = Calibration(
         hand=description.name,

@@ -1,6 +1,8 @@
-"""Protection against another user: the folder for sockets is private, and a request counts only once confirmed.
+"""Test the protection against another user of the machine.
 
-A test that needs a second user forks and changes its user. This needs root, and the test is skipped without.
+The folder for sockets is private, and a request counts only once it is confirmed. A test that needs
+a second user forks a process and changes the user of this process. Without root rights such a test
+is skipped.
 """
 
 import json
@@ -35,7 +37,7 @@ UNCONFIRMED = "no confirmation from the controller: switch the power off"
 
 
 def as_nobody(do) -> str:
-    """Call a function as another user. Return its result as text, or the name of the error."""
+    """Call a function in a process of the user nobody. Return its result as text, or the name of its error."""
     out, into = os.pipe()
     child = os.fork()
     if child == 0:
@@ -59,7 +61,10 @@ def as_nobody(do) -> str:
 
 @pytest.fixture
 def shared(monkeypatch):
-    """Make a folder for temporary files that every user can write in, as /tmp, as the base of the run directory."""
+    """Return a folder for temporary files in which every user can write, as in /tmp.
+
+    It contains the run directory.
+    """
     folder = Path(tempfile.mkdtemp(prefix="h-"))
     folder.chmod(0o1777)
     monkeypatch.setattr("tempfile.tempdir", str(folder))
@@ -74,7 +79,7 @@ def theirs(shared: Path) -> Path:
 
 
 def refuses(word: str) -> None:
-    """Check that controller, simulator and every request refuse the folder in one line with the reason."""
+    """Check that the controller, the simulator and every request refuse the run directory with a given reason."""
     for refused in (lambda: Mailbox("local:x"), lambda: Watcher("local:x"), lambda: connect("x"), run_dir):
         with pytest.raises(BusError, match=word) as caught:
             refused()
@@ -114,7 +119,7 @@ def test_a_folder_that_another_user_made_is_refused(shared, mode, deep, capsys):
 
 @SECOND_USER
 def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared, monkeypatch):
-    """The owner of the parent could rename the private folder and put another in its place."""
+    """The owner of the parent folder could rename the private folder and put another folder in its place."""
     above = shared / "above"
     above.mkdir()
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(above / "run"))
@@ -137,7 +142,7 @@ def test_a_folder_that_others_can_write_in_is_refused(shared, deep):
 
 @pytest.mark.parametrize("make", [run_dir, simulated.run_dir])
 def test_a_new_or_readable_folder_is_made_private(shared, make):
-    """Earlier versions made the parent with mode 0755."""
+    """Earlier versions of handctl made the parent folder with mode 0755."""
     folder = make()
     assert folder == theirs(shared) / "handctl"
     for path in (folder, folder.parent):
@@ -149,7 +154,7 @@ def test_a_new_or_readable_folder_is_made_private(shared, make):
 
 @pytest.mark.parametrize("deep", [False, True])
 def test_a_link_is_refused(shared, deep):
-    """The target and the owner of the link do not matter."""
+    """A run directory that is a link is refused, whatever its target and its owner are."""
     target = shared / "elsewhere"
     target.mkdir(mode=0o700)
     if deep:
@@ -169,7 +174,7 @@ def test_a_link_of_another_user_above_is_refused(shared, monkeypatch):
 
 @SECOND_USER
 def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(shared, short_confirmation_wait):
-    """Attack: rename the mailbox, bind another socket there, receive the requests for the hand."""
+    """The attacker renames the mailbox and binds another socket to its path, to receive the requests for the hand."""
     box = Mailbox("local:x")
     folder = run_dir()
     aside = folder / "aside"
@@ -189,7 +194,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
     assert as_nobody(lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))) == (
         "PermissionError"
     )
-    for path in (folder, folder.parent):  # another user gets access while the controller runs
+    for path in (folder, folder.parent):  # now another user has access to the mailbox
         path.chmod(0o777)
     started, ready = os.pipe()
     over, finish = os.pipe()
@@ -209,7 +214,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
 
 @SECOND_USER
 def test_requests_and_status_lines_of_another_user_are_ignored(shared):
-    """Messages in an open folder are ignored as well, because the kernel names the user of each sender."""
+    """They are ignored even if the folder is open to others, because the kernel names the user of each sender."""
     box = Mailbox("local:x")
     watcher = Watcher("local:x")
     for path in (watcher.path, Path(box.path)):
@@ -258,7 +263,7 @@ def test_a_hub_accepts_only_its_own_user(shared):
 
 
 class AnsweringController:
-    """A thread that serves the mailbox like a controller, with the event texts of a tick."""
+    """A thread that serves the mailbox of a bus as a controller does, with the same texts of events."""
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
         self.box = Mailbox(BUS)
@@ -288,7 +293,7 @@ class AnsweringController:
             ]
             self.taken += [event["text"].split()[1] for event in events]
             line = {"k": k, "t_s": k * 0.002, "mode": mode, "phase": "", "events": events}
-            if mode == "RELAX" and (self.box.watchers or self._deaf):  # RELAX lasts until a watcher has subscribed
+            if mode == "RELAX" and (self.box.watchers or self._deaf):  # until a watcher has subscribed
                 mode = "" if self._deaf == "RELAX" else "DONE"
                 line |= {"mode": mode, "events": [{"name": "mode", "where": "", "text": self._end}]}
             if mode == "ACTIVE" and "stop" in self.taken:
@@ -315,7 +320,7 @@ def test_stop_names_a_drive_that_stays_on(place, capsys):
 
 @pytest.fixture
 def short_confirmation_wait(monkeypatch):
-    """Shorten the wait for a confirmation to a fifth."""
+    """Shorten the time that a request waits for its confirmation to 0.4 s."""
     monkeypatch.setattr("handctl.runtime.confirm.CONFIRMATION_TIMEOUT_S", 0.4)
 
 
@@ -355,7 +360,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
 
 
 def fill_mailbox(path: Path) -> int:
-    """Fill a mailbox completely and return the number of datagrams."""
+    """Fill the mailbox at a path completely, and return the number of datagrams in it."""
     count = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.setblocking(False)

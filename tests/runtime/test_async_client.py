@@ -1,4 +1,4 @@
-"""The client of a hand for asyncio, in real time."""
+"""Test the Python client for asyncio with a simulated hand in real time."""
 
 import asyncio
 import inspect
@@ -14,7 +14,7 @@ REALTIME = pytest.mark.realtime
 
 
 async def use_hand(*options):
-    """Move, stream, observe and cancel, beside a task that counts."""
+    """Move, stream, observe and cancel with a client, while another asyncio task counts."""
     counted = 0
 
     async def count():
@@ -52,7 +52,7 @@ async def use_hand(*options):
 
 
 async def watch(hand):
-    """Return the ticks of 200 observations and the span of an angle in them [deg]."""
+    """Return the ticks of 200 observations, and the range of the first joint's angle in them [deg]."""
     ticks, angles = [], []
     async for one in hand.observations():
         ticks.append(one.k)
@@ -96,7 +96,7 @@ def test_a_controller_that_cannot_start_is_one_error(place):
 
 
 def test_every_call_has_its_coroutine():
-    """A call that is added to the client is added here, too."""
+    """Each call of the ordinary client, except for a few, is a coroutine of the asyncio client."""
     apart = {"open", "close", "end_stream", "state", "wait", "poll_observations", "observe", "observations"}
     names = {name for name in vars(library.HandClient) if not name.startswith("_")} - apart - {"description"}
     for name in names:

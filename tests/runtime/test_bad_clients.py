@@ -1,4 +1,7 @@
-"""Bad clients of a hand in real time, judged by the plant's truth. In lockstep: tests/controller/test_stream.py."""
+"""Test clients that misbehave, in real time and judged by the truth of the simulator.
+
+tests/controller/test_stream.py has such tests in lockstep.
+"""
 
 import os
 
@@ -12,19 +15,19 @@ NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SCALE = 0.6
 SAMPLE = list(CLIENTS) if NIGHTLY else ["flooding", "killed"]
 HELD = "I11a"
-"""Fault of a stream that stays away for 100 ms. The hand holds."""
+"""Fault of a stream that sends no target for 100 ms. Its action is that the hand holds."""
 RELAXED = "I11b"
-"""Fault of a stream that stays away for a second. The hand relaxes."""
+"""Fault of a stream that sends no target for a second. Its action is that the hand relaxes."""
 FAULTS = {
     "paused-500": {HELD}, "nan": {HELD}, "1e308": {HELD}, "late-150": {HELD},
     "killed": {HELD, RELAXED}, "killed-owner": set(),
 }  # fmt: skip
-"""Faults that a client must cause. Without an entry: none."""
+"""Faults of streams that each client must cause. A client without an entry must cause none."""
 
 
 @pytest.fixture
 def homed(place) -> Homed:
-    """Return the calibration and the options of a hand that is commissioned."""
+    """Return the calibration and the simulator options of a commissioned hand."""
     write_homed(place / "c.toml", load_hand("jamia"))
     return place / "c.toml", HOMED
 

@@ -1,4 +1,8 @@
-"""Unusual batches on the buses: mixed kinds, lengths from 0 to 64, more frames than a buffer, error frames between."""
+"""Test unusual batches of frames on all buses.
+
+They have mixed kinds, lengths from 0 to 64, more frames than a buffer holds, or error frames in
+between.
+"""
 
 import random
 import socket
@@ -20,14 +24,14 @@ from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
 from tests.runtime.datagrams import datagram_bus
 
 CLASSICAL, FD = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
-"""Source: Linux ``can.h``."""
+"""Layouts of classical and FD frames in the kernel. Source: Linux ``can.h``."""
 SIZES = (0, 1, 7, 8)
 LONG_SIZES = (0, 8, 12, 64)
 INDEX = 3
 
 
 def mixed(count: int, seed: int) -> list[Frame]:
-    """Return classical and FD frames of all lengths in random order."""
+    """Return classical and FD frames of various lengths in random order."""
     rng = random.Random(seed)
     frames = []
     for number in range(count):
@@ -56,7 +60,7 @@ def contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
 
 
 def zero_behind_payloads(frames: Frames) -> bool:
-    """Return True if records fit kernels and log: contiguous, with zeros behind each payload."""
+    """Return True if frame records have zeros behind each payload. Check that the records have their full width."""
     assert frames.rows.shape == (len(frames), WORDS)
     behind = np.arange(64) >= frames.records["length"][:, np.newaxis]
     return not frames.records["data"][behind].any()
@@ -90,7 +94,7 @@ def drained(bus: Bus, count: int) -> Frames:
 
 
 def datagram(frame: Frame, garbage: bytes = b"") -> bytes:
-    """Return a frame as the kernel delivers it. A driver may leave any bytes behind a classical payload."""
+    """Return a frame in the form in which the kernel delivers it. A driver may leave any bytes behind a payload."""
     can_id, data, flags, *_ = frame
     if flags & FDF:
         return FD.pack(can_id, len(data), flags, data + garbage[: 64 - len(data)])
@@ -226,7 +230,7 @@ def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
 def test_the_kernels_stamps_become_the_runs_time(udp: tuple[SocketCanBus, socket.socket], scale: float) -> None:
     bus, far = udp
     bus._stamp = lambda t_ns: int((t_ns - 1000) * scale)
-    time.sleep(0.3)  # the kernel begins to add time stamps with a delay
+    time.sleep(0.3)  # the kernel adds time stamps after a delay
     for _ in range(3):
         before = time.monotonic_ns()
         for number in range(11):

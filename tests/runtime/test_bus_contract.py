@@ -1,4 +1,4 @@
-"""The contract of buses, on the buses that need no hardware. SocketCAN is tested in tests/vcan."""
+"""Run the tests of the bus contract on the buses that need no hardware. tests/vcan runs them on SocketCAN."""
 
 import uuid
 from collections.abc import Iterator

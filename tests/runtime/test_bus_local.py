@@ -1,4 +1,4 @@
-"""Edge cases of the local bus: split records, a slow hub, a lost hub, dropped frames, error frames."""
+"""Test edge cases of the local bus: records in parts, a slow hub, a lost hub, dropped frames, and error frames."""
 
 import socket
 import time

@@ -1,4 +1,4 @@
-"""python-can's errors as events, and python-can's own tools on the local bus."""
+"""Test that errors of python-can become events, and that the tools of python-can work on the local bus."""
 
 import asyncio
 import errno
@@ -21,7 +21,7 @@ from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, hub, record
 
 
 class Broken(can.BusABC):
-    """An interface on which every call fails with a given error."""
+    """A python-can interface whose calls fail with a given error, always or a number of times."""
 
     def __init__(self, error: Exception, times: int = 1_000_000) -> None:
         super().__init__("broken")
@@ -49,9 +49,9 @@ def bus() -> Iterator[PythonCanBus]:
 
 
 def test_frames_that_an_adapter_echoes_are_not_received(bus: PythonCanBus) -> None:
-    """A gs_usb returns every sent frame as received.
+    """A gs_usb adapter returns every sent frame as a received frame.
 
-    Such a frame would look like a second controller.
+    If handctl received such a frame, it would look like that of a second controller.
     """
     bus._bus.shutdown()
     bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
@@ -147,7 +147,7 @@ def test_fd_can_be_disabled(ours: Bus) -> None:
             theirs.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
         ours.send([Frame(0x6F1, bytes(12), 4), Frame(0x6F2, b"old")])
         received = theirs.recv(5.0)
-        while received is not None and received.arbitration_id < 0x6F1:  # frames of an earlier client, still in the hub
+        while received is not None and received.arbitration_id < 0x6F1:  # skip what an earlier client sent
             received = theirs.recv(5.0)
     assert received is not None
     assert received.arbitration_id == 0x6F2
@@ -173,7 +173,10 @@ def test_a_notifier_receives_messages(ours: Bus) -> None:
 
 
 def test_a_notifier_in_an_event_loop_receives_a_complete_batch(ours: Bus) -> None:
-    """The notifier reads one message per event. The descriptor must stay readable while messages wait."""
+    """python-can's notifier reads one message per event.
+
+    The file descriptor must stay readable while messages wait.
+    """
     received: list[int] = []
 
     async def listen(theirs: can.BusABC) -> None:
@@ -196,7 +199,7 @@ def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_pa
     logger = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         end = time.monotonic() + 30.0
-        while not file.exists():  # the logger opens its file after the bus
+        while not file.exists():  # its file exists only after it opened the bus
             assert time.monotonic() < end
             time.sleep(0.02)
         for _ in range(20):

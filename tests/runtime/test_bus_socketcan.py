@@ -1,4 +1,4 @@
-"""The SocketCAN bus over datagram sockets with the structs of the kernel: batches, stamps, drops, refusals."""
+"""Test the SocketCAN bus over datagram sockets: batches, time stamps, lost frames and refused frames."""
 
 import socket
 import struct
@@ -13,12 +13,15 @@ from tests.runtime.datagrams import datagram_bus
 
 CLASSICAL = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")
-"""Source: Linux ``can.h``."""
+"""Layout of an FD frame in the kernel. Source: Linux ``can.h``."""
 
 
 @pytest.fixture
 def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """Connect over UDP, which stamps datagrams and counts drops as CAN does."""
+    """Yield a bus and the socket of its other end, connected over UDP.
+
+    Like CAN sockets, UDP sockets have time stamps and count dropped datagrams.
+    """
     with datagram_bus(1) as pair:
         yield pair
 
@@ -57,7 +60,7 @@ def test_a_short_frame_after_a_long_one_has_none_of_its_bytes(
 
 def test_the_size_of_a_datagram_distinguishes_fd_from_classical(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
-    far.send(FD.pack(1, 8, 0, bytes(8)))  # kernels before 6.1 do not set CANFD_FDF
+    far.send(FD.pack(1, 8, 0, bytes(8)))  # as kernels before 6.1, without CANFD_FDF
     far.send(CLASSICAL.pack(1, 8, bytes(8)))
     assert [frame.flags for frame in waited(bus, 2)] == [FDF, 0]
 
@@ -76,7 +79,7 @@ def test_batches_beyond_the_buffers_keep_their_order(udp: tuple[SocketCanBus, so
 
 
 KERNEL_STAMPS_S = 0.3
-"""The kernel starts time stamps shortly after the first request, because this patches its code."""
+"""Time after which the kernel adds time stamps [s]. The first request for them patches the code of the kernel."""
 
 
 def test_stamps_are_times_of_arrival_not_of_reading(udp: tuple[SocketCanBus, socket.socket]) -> None:
@@ -96,7 +99,7 @@ def test_stamps_are_times_of_arrival_not_of_reading(udp: tuple[SocketCanBus, soc
 def test_stamps_never_run_backwards_or_ahead(
     udp: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The wall clock may be set while frames wait."""
+    """This holds even if the wall clock is set while frames wait in the socket."""
     bus, far = udp
     real = time.time_ns
     stamps = []
@@ -114,7 +117,7 @@ def test_stamps_never_run_backwards_or_ahead(
 def test_stamps_are_right_although_the_wall_clock_was_set(
     udp: tuple[SocketCanBus, socket.socket], step_ns: int
 ) -> None:
-    """The clock offset is measured before the step of the wall clock, and the kernel stamps after it."""
+    """The offset of the clocks is measured before the wall clock is set. The kernel stamps the frame after that."""
     bus, far = udp
     time.sleep(KERNEL_STAMPS_S)
     far.send(CLASSICAL.pack(1, 0, b""))
@@ -140,7 +143,7 @@ def test_frames_that_overflow_the_socket_are_counted(udp: tuple[SocketCanBus, so
         for number in range(2000):
             far.send(CLASSICAL.pack(number & 0x7FF, 0, b""))
         received += len(bus.drain())
-        far.send(CLASSICAL.pack(0, 0, b""))  # the kernel reports its count with the next frame that fits
+        far.send(CLASSICAL.pack(0, 0, b""))  # carries the kernel's count of drops
         received += len(waited(bus, 1))
         sent += 2001
         dropped += [number for kind, _, number in bus.take_events() if kind == "dropped"]
@@ -166,7 +169,7 @@ def test_a_full_queue_refuses_without_waiting() -> None:
 def test_a_broken_socket_is_an_event(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
     far.close()
-    bus.send([Frame(1, b"")])  # the next call fails with "connection refused"
+    bus.send([Frame(1, b"")])  # makes the next call fail
     assert bus.drain() == []
     assert bus.take_events() == [("enodev", "socketcan:test", 1)]
     for _ in range(3):

@@ -20,11 +20,11 @@ from tests.drives.test_cia404 import with_amplifiers
 
 PERIOD_NS = 10_000_000
 TURNED_RAD = -0.5
-"""Angle to which the first spool is turned by hand. Negative makes its tendon slack."""
+"""Angle to which the first spool is turned by hand [rad]. A negative angle makes its tendon slack."""
 
 
 class SimulatedBuses:
-    """Buses and clock of a simulated hand in virtual time."""
+    """The buses and the clock of a simulated hand in virtual time."""
 
     def __init__(self, path):
         self.hand = load_hand(str(path))
@@ -35,7 +35,7 @@ class SimulatedBuses:
         self.top = 0.0
 
     def wait(self, k):
-        """Let the drives answer the frames of the last tick."""
+        """Advance time to tick k, and let the drives reply to the frames of the last tick. Return 0 missed ticks."""
         self.t_ns = k * PERIOD_NS
         self.incoming = [Frame(*frame) for frame in self.rig.step(max(0, k - 1) * PERIOD_NS, self.outgoing)]
         self.outgoing = []
@@ -50,7 +50,7 @@ class SimulatedBuses:
 
 
 class Port:
-    """One bus of the hand."""
+    """One bus of the simulated hand."""
 
     def __init__(self, place, index):
         self.place, self.index = place, index

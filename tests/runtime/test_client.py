@@ -1,4 +1,4 @@
-"""The Python client of a running hand: requests, replies, errors, and the end of a run."""
+"""Test the Python client of a running hand: its requests, their replies, errors, and the end of a run."""
 
 import json
 import signal
@@ -27,7 +27,7 @@ with handctl.connect("jamia", "local:t", *{words}):
 
 @pytest.fixture
 def alone(place):
-    """Return a client of a bus without a controller."""
+    """Return a Python client of a bus that no controller serves."""
     client = HandClient("local:nobody")
     yield client
     client.close()
@@ -45,7 +45,7 @@ def test_every_numeric_type_is_accepted(alone, number, monkeypatch):
 
 @pytest.mark.parametrize("number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9])
 def test_an_invalid_angle_is_refused_before_it_is_sent(alone, number):
-    """The controller relaxes the hand if it has to refuse three requests within a second."""
+    """The client refuses it, because a controller that refuses three requests within a second relaxes the hand."""
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
         alone.move(index=number)
 
@@ -56,7 +56,7 @@ def status_with_events(*texts):
 
 @pytest.mark.parametrize("theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"])
 def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
-    """Regression: one of two programs on one hand reported refusals of the other program."""
+    """Regression: of two programs that used one hand, one reported refusals of requests of the other."""
     sent = []
     monkeypatch.setattr(alone._watcher, "send", lambda data, timeout: sent.append(json.loads(data)))
     monkeypatch.setattr(alone, "_wait_until_following", lambda timeout: status_with_events())
@@ -89,7 +89,7 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(alone, monkeypatch):
 
 
 def test_digits_may_come_as_a_mapping(alone, monkeypatch):
-    """Regression: the first argument was taken as the duration, and the error was "no digit"."""
+    """Regression: a mapping as first argument was taken as the duration. The error was then "no digit"."""
     requests = []
     monkeypatch.setattr(alone, "_set_goal", requests.append)
     alone.move({"index": 10}, thumb=5, wait=False)
@@ -217,7 +217,7 @@ def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, m
 
 
 def start_program(processes, *words):
-    """Start a program that holds the hand for a minute."""
+    """Start a program that connects to the hand and holds it for a minute."""
     code = PROGRAM.format(words=words)
     program = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     processes.append(program)

@@ -1,4 +1,4 @@
-"""The contract of clocks, for real time, scaled time and virtual time."""
+"""Test the contract of clocks with clocks of real time, of scaled time and of virtual time."""
 
 import statistics
 import time
@@ -16,7 +16,7 @@ PERIOD = 2_000_000
 
 
 class Wall:
-    """A simulated CLOCK_MONOTONIC. A sleep advances this clock by its duration and an overshoot."""
+    """A simulated CLOCK_MONOTONIC. A sleep advances it by the duration of the sleep and an overshoot."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot: int = 0) -> None:
         self.now = 5_000_000_000
@@ -99,7 +99,10 @@ def test_the_granted_priority_is_described() -> None:
 
 
 class Peer:
-    """A peer that answers each frame with its identifier plus 0x10 and records its steps."""
+    """A lockstep peer that records its steps.
+
+    It replies to each frame with a frame whose identifier is larger by 0x10.
+    """
 
     def __init__(self, fail: str = "") -> None:
         if fail:
@@ -154,7 +157,7 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
 
 
 class RecordPeer(Peer):
-    """A peer that exchanges records instead of objects."""
+    """A lockstep peer that takes and returns records of frames instead of objects."""
 
     def exchange(self, t_ns: int, records: Records) -> Records:
         self.steps.append((t_ns, list(Frames(records))))

@@ -1,4 +1,7 @@
-"""The conformance checks on simulated drives in virtual time: good drives pass, each broken drive fails its check."""
+"""Test the conformance checks on simulated drives in virtual time.
+
+A good drive passes all of them, and a broken drive fails the check of its fault.
+"""
 
 import pytest
 
@@ -45,7 +48,10 @@ def test_a_good_drive_passes_every_conformance_check(protocol):
 
 
 def test_a_good_drive_passes_three_times_running(protocol):
-    """ODrives and CiA 402 drives were left with a latched error: the second run failed them."""
+    """Regression: the checks left ODrives and CiA 402 drives with a latched error.
+
+    These drives then failed the second time.
+    """
     place = VirtualBench(protocol)
     for _ in range(3):
         rig = rig_on(place, protocol, LIMIT)
@@ -91,7 +97,10 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
 @pytest.mark.parametrize("fault", ["deaf", "eager", "mute", "sign", "twin"])
 @pytest.mark.parametrize("protocol", sorted(PROTOCOLS.keys() - set(GUARDED)))
 def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
-    """A deaf CubeMars passed like a good one, because its feedback does not report whether it is enabled."""
+    """Regression: a CubeMars that ignores commands passed all checks.
+
+    Its feedback does not report whether it is enabled.
+    """
     good, _, _ = check_results(protocol)
     broken, place, _ = check_results(protocol, fault)
     assert FAILED_CHECK[fault] not in failed(good)
@@ -109,7 +118,7 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
 
 
 def test_a_second_drive_never_turns(protocol):
-    """Nothing is enabled once a second drive has answered."""
+    """The checks enable no drive after a second drive has replied."""
     _, place, _ = check_results(protocol, "twin")
     assert place.top == 0.0
 
@@ -136,7 +145,7 @@ def test_an_odrive_without_watchdog_fails_that_check_only():
 
 
 def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
-    """A client before may have left CTRL_MODE at 3."""
+    """An earlier client may have left the register CTRL_MODE at 3, the velocity mode."""
     place = VirtualBench("mit")
     node = place.bench.nodes[0]
     node.registers.write(10, (3).to_bytes(4, "little"))
@@ -148,7 +157,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
 
 @pytest.mark.parametrize("answers", ["each", "error", "never"])
 def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answers):
-    """A host that waited for an answer to the clear command never became ready."""
+    """Regression: a host that waited for a reply to the clear command never found the motor ready."""
     place = VirtualBench("mit", clear_answers=answers)
     rig = rig_on(place, "mit", LIMIT)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
@@ -160,7 +169,10 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answer
 
 @pytest.mark.parametrize("watchdog", ["commands", "frames", "always"])
 def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
-    """Register requests do not feed it. A motor whose watchdog fires while disabled was in fault before arming."""
+    """Register requests do not feed the watchdog.
+
+    Regression: a motor whose watchdog fires while it is disabled was in fault before arming.
+    """
     place = VirtualBench("mit", watchdog=watchdog)
     rig = rig_on(place, "mit", LIMIT)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)

@@ -1,4 +1,4 @@
-"""The demo on the clock that simulator and controller share."""
+"""Test ``handctl demo`` on the clock that simulator and controller share."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from tests.runtime.processes import modes_of_complete, result_of, start_handctl
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
 FAST = ("--task", "short.toml", "--scene", "none", "--log", "run.mcap", "--time-scale", "16", "--json")
-"""Options of a demo that no machine can simulate fast enough."""
+"""Command-line options of a demo that runs faster than any machine can simulate."""
 
 
 def test_the_clock_of_the_demo_pauses_on_a_slow_machine(place, processes):

@@ -1,4 +1,4 @@
-"""Jog of a simulated drive in virtual time: modes, limits, guards, and the state that it leaves."""
+"""Test jogging a simulated drive in virtual time: modes, limits, guards, and the state of the drive afterwards."""
 
 import math
 import struct
@@ -85,7 +85,7 @@ def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
 
 @pytest.mark.parametrize(("protocol", "mode"), MODES)
 def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protocol, mode):
-    """A position command of zero would move it by its whole angle."""
+    """The drive starts 5 rad away from zero. A position command of zero would move it by this angle."""
     place, rig, torque_drive = bench_of(protocol, mode)
     place.bench.motors[0].theta = 5.0
     result = jog_drive(rig, goal_of(mode, 0.0, 1.0, 0.2))

@@ -1,4 +1,4 @@
-"""The test rig of the conformance checks."""
+"""Test the rig on which the conformance checks run a drive."""
 
 import pytest
 
@@ -8,7 +8,10 @@ from handctl.runtime.diagnostics import drive_rig
 
 
 def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Regression: the first command compiled for a second, and the watchdog of the drive fired."""
+    """Regression: the first command of the rig was compiled for a second.
+
+    The watchdog of the drive fired meanwhile.
+    """
     order = []
 
     class Clock:

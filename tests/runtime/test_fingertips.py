@@ -1,4 +1,4 @@
-"""Checks of fingertip positions in a client, without a running hand."""
+"""Test the fingertip positions of a client without a running hand."""
 
 import numpy as np
 import pytest
@@ -47,26 +47,26 @@ def test_wrong_digits_are_refused(digits):
 
 
 class Owner:
-    """Owner of a stream: a hand at rest."""
+    """Client that owns a stream. Its hand is at rest."""
 
     def observe(self):
-        """Return an observation whose angles are 20 deg."""
+        """Return an observation in which all joint angles are 20 deg."""
         return self
 
     def named(self, field):
-        """Return the angles."""
+        """Return the angles of all joints by name [rad]."""
         assert field == "q_rad"
         return dict.fromkeys(HAND.joints, START)
 
 
 class Sender:
-    """Sender that keeps the targets."""
+    """Sender of streamed targets that stores them."""
 
     def __init__(self):
         self.sent = []
 
     def send(self, index, sent_ns, values):
-        """Keep a target."""
+        """Store a target, and report that it was sent."""
         self.sent.append(values.tolist())
         return True
 

@@ -1,4 +1,7 @@
-"""A run whose disk becomes full: it is reported at once, the hand goes on, and the written log is readable."""
+"""Test a run whose disk becomes full.
+
+This is reported at once, the hand goes on, and the log can be read as far as it was written.
+"""
 
 import contextlib
 import os
@@ -16,7 +19,7 @@ from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 ROOM = "96m"
-"""Size of the disk, larger than the free space at which the recorder ends a log."""
+"""Size of the disk. It is larger than the free space at which the recorder ends a log."""
 
 
 @pytest.fixture
@@ -27,7 +30,7 @@ def place(place):
 
 @pytest.fixture
 def disk(place):
-    """Mount a small disk."""
+    """Mount a small disk, and return its folder."""
     made = place / "disk"
     made.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={ROOM}", "tmpfs", str(made)]
@@ -38,7 +41,7 @@ def disk(place):
 
 
 def fill(path):
-    """Fill the disk."""
+    """Fill the disk completely with a file."""
     with path.open("wb", buffering=0) as file, contextlib.suppress(OSError):
         while True:
             file.write(bytes(1 << 20))
@@ -48,7 +51,7 @@ def fill(path):
 
 
 def seconds_until(process, word, timeout_s=20.0):
-    """Measure the time until a run prints a word to standard error [s]."""
+    """Return the time until the process of a run prints a word to standard error [s]."""
     start = time.monotonic()
     output = b""
     while time.monotonic() - start < timeout_s:

@@ -1,4 +1,4 @@
-"""Messages about an interface that runs at other bit rates than the hand file text."""
+"""Test the messages about a CAN interface whose bit rates differ from those in the hand file."""
 
 import json
 
@@ -9,7 +9,7 @@ from handctl.runtime.buses.link import parse_link
 
 
 def ip_output(nominal: int | None, data: int | None) -> str:
-    """Return the output of iproute2 6.1 for a CAN interface, shortened."""
+    """Return a shortened output of iproute2 6.1 about a CAN interface with given bit rates."""
     info = {} if nominal is None else {"state": "ERROR-ACTIVE", "bittiming": {"bitrate": nominal}}
     info |= {} if data is None else {"data_bittiming": {"bitrate": data}}
     return json.dumps([{"ifname": "can0", "mtu": 72, "linkinfo": {"info_kind": "can", "info_data": info}}])

@@ -1,4 +1,7 @@
-"""Controllers killed and stopped at random times: the drives let go within their watchdog, the logs are complete."""
+"""Kill or stop controllers at random times.
+
+The drives remove the torque within their watchdog time, and the logs are complete.
+"""
 
 import multiprocessing
 import os
@@ -13,13 +16,14 @@ SCALE = 0.7
 
 
 def all_batches(times, seed, scale):
-    """Disturb controllers and return the verdicts of all of them."""
+    """Disturb ``times`` controllers, and return the verdict on each."""
     return [run for batch in batches(times, seed, scale) for run in batch]
 
 
 @pytest.mark.timeout(300 + 15 * TIMES)
 def test_drives_remove_torque_and_logs_end_with_the_last_tick(slower):
-    # A forked controller locks its memory. So fork from a small process, not from this one with all tests.
+    # A forked controller locks its memory. It is therefore forked from a small process and not from
+    # this one, which has all tests.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         runs = pool.apply(all_batches, (TIMES, 20261121, SCALE * slower))
     assert [run for run in runs if not run.safe] == [], "torque is left after the drives' watchdog"

@@ -1,4 +1,7 @@
-"""Findings about an interface from the output of ``ip``, written for these tests in the form of iproute2."""
+"""Test findings about a CAN interface from the output of ``ip``.
+
+The output is written for these tests in the form of iproute2.
+"""
 
 import json
 
@@ -12,7 +15,7 @@ MEGABIT = 1_000_000
 
 
 def link_json(**changes) -> str:
-    """Return the output of ``ip -details -statistics -json`` for a good real interface, with changes in its parts."""
+    """Return the output of ``ip -details -statistics -json`` about a good CAN interface, with given changes."""
     data = {
         "state": "ERROR-ACTIVE",
         "berr_counter": {"tx": 0, "rx": 0},
@@ -80,7 +83,7 @@ def test_invalid_output_of_ip_is_no_link(text):
 
 
 def usb_interface(folder, driver="gs_usb", speed="12", serial="0042"):
-    """A folder like /sys/class/net with one interface, can0, of a USB adapter."""
+    """Make a folder like /sys/class/net. Its only interface is can0, which belongs to a USB adapter."""
     usb = folder / "usb1" / "1-1"
     (usb / "1-1:1.0").mkdir(parents=True)
     (folder / "drivers" / driver).mkdir(parents=True)

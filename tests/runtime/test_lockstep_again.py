@@ -1,4 +1,7 @@
-"""Two runs on one lockstep clock, with drives of each protocol: the second starts from the state after the first."""
+"""Test two runs on one lockstep clock with drives of each protocol.
+
+The second run starts from the state of the drives after the first.
+"""
 
 from pathlib import Path
 
@@ -21,7 +24,7 @@ RUNS = 2
 
 
 CASES = [
-    ("cia402", None),  # only this protocol sends frames after its drives are off
+    ("cia402", None),  # its drives still get frames after they are off
     *(pytest.param(name, None, marks=pytest.mark.nightly) for name in sorted(PROTOCOLS) if name != "cia402"),
     *(pytest.param(name, [], marks=pytest.mark.nightly) for name in GUARDED),
 ]

@@ -1,4 +1,7 @@
-"""A run in lockstep that a fault holds: nobody can clear the fault, so the run must end by itself."""
+"""Test a run in lockstep in which a fault holds the hand.
+
+No operator can clear the fault, so the run must end without one.
+"""
 
 from pathlib import Path
 
@@ -20,7 +23,7 @@ from tests.runtime.processes import GO, MOVE
 
 @pytest.mark.timeout(120)
 def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
-    """The time of the task stops while a fault holds the hand. Regression: the run had no end."""
+    """While a fault holds the hand, the time of the task stops. Regression: such a run had no end."""
     task = tmp_path / "bend.toml"
     task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.5))
     hand = load_hand("jamia")

@@ -1,4 +1,7 @@
-"""The loop on a scripted clock: no catching up, no lost frame, and the drives are disabled after every error."""
+"""Test the control loop on a scripted clock.
+
+It does not catch up missed ticks, loses no frame, and disables the drives after every error.
+"""
 
 import gc
 import time
@@ -24,7 +27,7 @@ CUT = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 @dataclass
 class ScriptedClock:
-    """A clock with a given lateness for each wait [ns], then zero, and a record of all waits."""
+    """A clock that is late by given times in its first waits [ns] and then in time. It records all waits."""
 
     late: list[int] = field(default_factory=list)
     waits: list[int] = field(default_factory=list)
@@ -46,7 +49,7 @@ class ScriptedClock:
 
 @dataclass
 class FakeBus:
-    """A bus that delivers one frame per tick and accepts a limited number."""
+    """A bus that delivers given frames in each tick. In one call it accepts at most ``capacity`` frames."""
 
     index: int = 0
     capacity: int = 1000
@@ -71,7 +74,7 @@ class FakeBus:
 
 @dataclass
 class WholeTick:
-    """A tick whose steps are all in ``command``."""
+    """A tick that performs all its steps in ``command``."""
 
     tick: Callable[[int, TickIn], tuple[int, TickOut]]
     state: int
@@ -89,7 +92,7 @@ class WholeTick:
 
 @dataclass
 class Run:
-    """A loop of a few ticks, with records of all its calls."""
+    """A control loop that runs a few ticks, with records of all its calls."""
 
     ticks: int = 5
     clock: ScriptedClock = field(default_factory=ScriptedClock)
@@ -134,7 +137,7 @@ def test_ticks_follow_one_another_at_their_times() -> None:
 
 
 def test_the_warm_up_tick_has_no_effect() -> None:
-    """The warm-up runs before the clock starts, sends and records nothing, and its state is discarded."""
+    """The warm-up tick runs before the clock starts. It sends and records nothing, and its state is discarded."""
     run = Run(frames=(Frame(7, b""),))
     run.go()
     assert len(run.entries) == 6
@@ -226,7 +229,7 @@ def test_frames_that_a_bus_refuses_are_counted_as_refused_not_as_sent() -> None:
 
 
 class StageError(Exception):
-    """Error that a stage raises."""
+    """Error that a stage of a tick raises in a test."""
 
 
 def raise_error(*_: object) -> None:
@@ -246,7 +249,7 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     else:
         whole = getattr(left, stage)
         setattr(left, stage, lambda *words: raise_error() if run.recorded else whole(*words))
-    with pytest.raises(PowerError if stage == "send" else StageError):  # a drive without a cut may still pull
+    with pytest.raises(PowerError if stage == "send" else StageError):  # a cut could not be sent
         run.go()
     assert right.sent[-1] == (CUT[1],)
     if stage != "send":
@@ -255,7 +258,10 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
 
 
 def poll_times(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
-    """Let a run fail at its third tick with given answers of the drives. Return the times of the polls [ns]."""
+    """Let a loop fail in its third tick, and return the times at which it polled the drives [ns].
+
+    ``answers`` are the drives that are not confirmed off after each poll.
+    """
     times: list[int] = []
 
     def let_go(state: int, t_ns: int, heard: list[Frame]) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
@@ -294,7 +300,7 @@ def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
 
 
 def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
-    """No later tick repeats the cut, and a drive without a watchdog would go on."""
+    """A cut must not be lost. No later tick repeats it, and a drive without a watchdog would keep its torque."""
     left = FakeBus()
     right = FakeBus(1)
     run = Run(5, buses=[left, right])
@@ -361,7 +367,10 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(monkeypatc
 
 
 def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The lateness of a day at 500 Hz would take 330 MiB of locked memory."""
+    """The loop stores only the lateness of its last ticks.
+
+    That of a day at 500 Hz would take 330 MiB of locked memory.
+    """
     monkeypatch.setattr(loop, "LATENESS_RING", 16)
     run = Run(200, clock=ScriptedClock(list(range(200))))
     run.go()

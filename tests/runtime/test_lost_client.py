@@ -1,4 +1,7 @@
-"""A client that dies or hangs after ``hold``: the hand relaxes after the lease of the client, judged by the truth."""
+"""Test a client that dies or hangs after a ``hold``.
+
+The hand relaxes when the lease of the client has ended, which the truth of the simulator shows.
+"""
 
 import re
 import select
@@ -31,7 +34,7 @@ with handctl.connect("jamia", {BUS!r}, **{{options}}) as hand:
 
 
 def hold(**options):
-    """Start a second client, which holds a tension and then does nothing."""
+    """Start another client in a process. It holds a tension and then does nothing."""
     command = [sys.executable, "-c", PROGRAM.format(options=options)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert select.select([process.stdout], [], [], READY_S)[0]
@@ -40,7 +43,7 @@ def hold(**options):
 
 
 def wait_for_end(client, seconds):
-    """Wait until the run ends, at most a time [s of the hand], and return the reason."""
+    """Wait until the run ends, and return its reason. The longest wait is ``seconds`` of the hand's time."""
     start = client.observe().t_s
     try:
         while client.observe().t_s < start + seconds:
@@ -55,7 +58,7 @@ def wait_for_end(client, seconds):
     "how", ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]]
 )
 def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how):
-    """Regression: the tension stayed without a time limit."""
+    """Regression: the hand kept the tension of a lost client without a time limit."""
     factor = float(scale[1])
     client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale).open()
     try:
@@ -85,7 +88,10 @@ def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how)
 @REALTIME
 @pytest.mark.nightly
 def test_a_program_that_waits_keeps_its_hold(place, hand, calibrated, scale):
-    """The thread of a client renews the lease. Without a lease the hold stays without a sign of life."""
+    """A thread of the client renews its lease while the program waits.
+
+    A client without a lease needs no sign of life.
+    """
     factor = float(scale[1])
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
     with library.connect("jamia", BUS, *options, lease_s=LEASE_S) as client:
@@ -117,7 +123,7 @@ def test_a_wrong_lease_is_one_line(options, line):
 
 
 def test_a_watchdog_stops_the_signs_of_life(place):
-    """Each call of the program lets them go on."""
+    """A program without calls sends no more signs of life. Its next call resumes them."""
     box = Mailbox("local:beats")
     beats = Heartbeat("local:beats", "one", 0.01, 0.15)
 

@@ -1,4 +1,7 @@
-"""The request socket: requests in order, never blocking, one controller per bus, status lines for watchers."""
+"""Test the socket for requests.
+
+Requests arrive in order and never block, a bus has one controller, and watchers get status lines.
+"""
 
 import json
 import os
@@ -26,7 +29,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def send_request(name: str, text: str) -> None:
-    """Send a request as any program of this user can, without waiting for an answer."""
+    """Send a request to a bus as any program of this user can, without waiting for a reply."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.sendto(text.encode(), str(mailbox_path(name)))
 
@@ -111,7 +114,7 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
 
 
 def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:
-    """The socket file of the killed controller remains, and the next controller uses this name."""
+    """The socket file of the killed controller is still there. The next controller uses its name."""
     code = "import time; from handctl.runtime.mailbox import Mailbox as M; m = M('local:x'); print(1, flush=1)"
     code += "; time.sleep(60)"
     child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)

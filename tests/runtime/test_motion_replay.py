@@ -1,4 +1,7 @@
-"""``handctl replay drive`` on the real clock: a golden grasp on a simulated hand in another process."""
+"""Test ``handctl replay drive`` on the real clock.
+
+It repeats a recorded grasp on a simulated hand in another process.
+"""
 
 import json
 import signal
@@ -44,8 +47,9 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
         end(simulated)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    # At first contact one joint of a digit yields before the other, by 2.7 deg here, and by more after a late tick.
-    # The rms of each joint and the mean angle of each digit stay within their limits.
+    # At first contact one joint of a digit yields before the other. This makes 2.7 deg here, and
+    # more after a late tick. The RMS of each joint and the mean angle of each digit stay within
+    # their limits.
     single = 6.0
     assert {name for name, row in result["joint_deg"].items() if row["peak"] > single} == set()
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, "as in lockstep, tests/replay/test_drive.py"

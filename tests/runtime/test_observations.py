@@ -1,4 +1,4 @@
-"""The ring of observations in shared memory, and the socket of streamed targets, in one process."""
+"""Test the ring of observations in shared memory and the socket for streamed targets, both in one process."""
 
 import json
 import math
@@ -26,13 +26,13 @@ AXES = {"joint": 3, "tendon": 2, "motor": 2, "digit": 1}
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Sockets and files of this test only."""
+    """Return a folder for the sockets and files of one test."""
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "h"))
     return tmp_path
 
 
 def numbers_of(k: int) -> PackedTelemetry:
-    """Return telemetry in which every number is the tick's, and its index."""
+    """Return telemetry whose numbers all follow from the tick and from the index of the number."""
     places, first = {}, 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first, first + AXES[TELEMETRY_AXES[name]])
@@ -44,7 +44,7 @@ NO_STREAM = StreamStatus()
 
 
 def ticks_of(reader: ObservationReader) -> list[int]:
-    """Return the ticks of all records that the reader has not seen."""
+    """Return the ticks of all records that the reader has not yet read."""
     ticks = list[int]()
     while (record := reader.next()) is not None:
         ticks.append(record["k"].item())
@@ -52,7 +52,7 @@ def ticks_of(reader: ObservationReader) -> list[int]:
 
 
 def write(writer: ObservationWriter, k: int, status: StreamStatus = NO_STREAM) -> None:
-    """Write the record of a tick."""
+    """Write the record of tick k into the ring of observations."""
     out = TickOut((), Mode.ACTIVE, "live", Action.WARN, numbers_of(k), (), bytes(8))
     writer.publish(TickIn(k, 2_000_000 * k, 7), out, status, time.monotonic_ns())
 
@@ -125,7 +125,7 @@ def test_a_half_written_record_is_not_returned() -> None:
     writer = ObservationWriter("local:x", AXES, {})
     reader = ObservationReader("local:x")
     write(writer, 1)
-    writer._counters[0][0] = 3  # the counter while record 2 is written
+    writer._counters[0][0] = 3  # as while record 2 is written
     assert reader.read(0) is None
     assert reader.latest() is None, "a reader does not wait for a dead writer"
     reader.close()
@@ -175,7 +175,7 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
 
 
 def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
-    """The newest targets reach the tick. The request socket stays free."""
+    """Of a flood of targets, the newest reach the tick. The socket for requests stays free."""
     box, mail = TargetBox("local:x", int), Mailbox("local:x")
     sender, sent = TargetSender("local:x", 1, 1), 0
     began = time.monotonic()

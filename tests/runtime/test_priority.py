@@ -1,4 +1,4 @@
-"""Real-time priority and locked memory are given back after the loop."""
+"""The process gives back its real-time priority and its locked memory after the control loop."""
 
 import os
 import sys
@@ -18,10 +18,10 @@ def policy() -> int:
 
 
 def open_files() -> set[str]:
-    """Return the paths of the files that this process has open."""
+    """Return the paths of all files that this process has open."""
     paths = set()
     for descriptor in os.listdir("/proc/self/fd"):
-        with suppress(OSError):  # the descriptor of this list is closed meanwhile
+        with suppress(OSError):  # one was open only to list the others
             paths.add(os.readlink(f"/proc/self/fd/{descriptor}"))
     return paths
 
@@ -39,7 +39,10 @@ def test_the_doctor_tries_real_time_priority_and_resets_it() -> None:
 
 
 def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Regression: locking hundreds of MB under SCHED_FIFO blocked all else on the core for a tenth of a second."""
+    """Regression: memory was locked under SCHED_FIFO.
+
+    This blocked all other processes on the core for a tenth of a second.
+    """
     calls: list[str] = []
     monkeypatch.setattr(priority, "_lock_memory", lambda: calls.append("memory") is None)
     monkeypatch.setattr(priority, "_enter_fifo", lambda level: calls.append("priority") is None)
@@ -48,7 +51,7 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
 
 
 def test_only_ticks_have_realtime_priority() -> None:
-    """Regression: starting a loop and closing its log blocked all else on the core as well."""
+    """Regression: a loop that started, or closed its log, blocked all other processes on its core."""
     granted = priority.prepare_priority()
     seen = []
     assert policy() == os.SCHED_OTHER
@@ -61,7 +64,7 @@ def test_only_ticks_have_realtime_priority() -> None:
 
 
 def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> None:
-    """An idle processor of a virtual machine took a millisecond to wake up."""
+    """Processors may not sleep during ticks, because an idle one of a virtual machine took a millisecond to wake up."""
     latency = tmp_path / "cpu_dma_latency"
     latency.touch()
     monkeypatch.setattr(priority, "LATENCY_FILE", str(latency))

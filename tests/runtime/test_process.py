@@ -1,7 +1,7 @@
-"""handctl as a process against the simulated hand as another process, on the real clock.
+"""Test handctl in a process with the simulated hand in another process, on the real clock.
 
-These tests are about the beginning and the end of runs. Time is slowed, because a stall of the machine
-ends a run, as it should.
+These tests cover the beginning and the end of runs. Time is slowed, because a stall of the machine
+would rightly end a run.
 """
 
 import itertools
@@ -31,7 +31,10 @@ pytestmark = pytest.mark.realtime
 
 
 def run_short(place, processes, scale):
-    """Commission a new hand and run a short task. Return the result of ``handctl run`` and its log."""
+    """Commission a new simulated hand and run a short task.
+
+    Return the result of ``handctl run`` and the path of its log.
+    """
     truth = place / "hand.truth"
     log = place / "run.mcap"
     processes.append(start_hand(truth, "--hand", "jamia", *scale))
@@ -59,7 +62,7 @@ def test_a_run_commissions_moves_and_reports_its_result(place, processes, scale)
 
 
 def start_long(processes, calibrated, *more):
-    """Start a run that stays in a phase until it is stopped, and wait until it is there."""
+    """Start a run that stays in its last phase until it is stopped, and wait until it has reached this phase."""
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more)
     processes.append(process)
     watcher = Watcher(BUS)
@@ -100,7 +103,7 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated,
 def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes, scale):
     process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
-    process.send_signal(signal.SIGTERM)  # the kernel would merge two SIGINT in a row
+    process.send_signal(signal.SIGTERM)  # the kernel may merge two SIGINT signals
     code, _, err = result_of(process)
     assert code == 0, err
     assert modes_of_complete(place / "run.mcap")[-3:] == ["RELAX -> CUT", "CUT -> DISARM", "DISARM -> DONE"]

@@ -1,4 +1,4 @@
-"""A second controller on one bus is refused in one line, and the first goes on."""
+"""A second controller on a bus is refused with one line of text. The first controller goes on."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""The clock that controller and simulator share: when it pauses, when it does not, and what the simulator reads."""
+"""Test the clock that controller and simulator share: when it pauses, and the time that the simulator reads from it."""
 
 import random
 import signal
@@ -24,8 +24,8 @@ class Machine:
     """A simulator and a controller on a simulated CLOCK_MONOTONIC.
 
     Attributes:
-        now: CLOCK_MONOTONIC [ns].
-        overshoots: overshoots of the next sleeps [ns], 10 us after them.
+        now: time of the simulated CLOCK_MONOTONIC [ns].
+        overshoots: overshoots of the next sleeps [ns]. All sleeps after them overshoot by 10 us.
         simulator: clock of the simulator.
         controller: clock of the controller.
         between: function that runs during each sleep, at its end.
@@ -46,7 +46,7 @@ class Machine:
         self.between()
 
     def answer(self) -> None:
-        """Let the simulator reach its time and answer all frames."""
+        """Let the simulator report that it has reached its time and replied to all frames."""
         self.simulator.note_reached(self.simulator.now_ns())
         self.simulator.note_answered(self.simulator.ticks_sent())
 
@@ -88,7 +88,7 @@ def test_the_clock_pauses_for_a_late_controller(machine, late_ms) -> None:
 
 
 def test_ticks_of_a_controller_that_was_stopped_are_missed(machine) -> None:
-    """A user may stop the controller, and the watchdogs of the drives must trip."""
+    """The clock does not pause if a user stops the controller, because the watchdogs of the drives must trip."""
     clock = machine.controller
     clock.start()
     clock.wait(0)
@@ -119,7 +119,7 @@ def test_the_clock_waits_for_the_simulator(machine) -> None:
 
 
 def test_a_simulator_that_stopped_is_not_waited_for_again(machine) -> None:
-    """The missing frames cause the faults of a real bus."""
+    """After the first wait the run goes on. The missing frames cause the same faults as on a real bus."""
     clock = machine.controller
     clock.start()
     clock.wait(0)
@@ -142,7 +142,7 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(machine) -> None:
 
 
 def test_a_simulator_behind_its_time_is_waited_for(machine) -> None:
-    """The simulator has answered all frames, but simulated sensors would send more frames."""
+    """The simulator has replied to all frames, but its sensors would still send frames until the present time."""
     clock = machine.controller
     clock.start()
     clock.wait(0)
@@ -180,7 +180,7 @@ def test_a_closed_clock_opens_the_gate(machine, tmp_path) -> None:
 
 
 def test_a_time_stamp_before_the_last_pause_is_converted(machine) -> None:
-    """A client stamps its targets with CLOCK_MONOTONIC."""
+    """A client stamps its targets with CLOCK_MONOTONIC, which does not pause. The stamp becomes time of the run."""
     clock = machine.controller
     clock.start()
     clock.wait(0)
@@ -193,7 +193,7 @@ def test_a_time_stamp_before_the_last_pause_is_converted(machine) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, seed) -> None:
-    """On random machines, which stop controller and simulator at random times."""
+    """This holds on simulated machines that stop the controller and the simulator at random times."""
     rng = random.Random(seed)
     machine = Machine(tmp_path / "t.clock", monkeypatch, scale := rng.choice([0.1, 1.0, 1.0, 4.0]))
     machine.controller.spin = rng.random() < 0.5
@@ -231,9 +231,9 @@ def test_only_buses_of_this_machine_share_a_clock() -> None:
 @pytest.mark.realtime
 @pytest.mark.parametrize("victim", ["simulator", "controller"])
 def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, victim) -> None:
-    """Stops of 20 ms, as a busy machine makes them.
+    """A process is stopped for 20 ms at a time, as it may be on a busy machine.
 
-    Without the shared clock each stop delays ten ticks.
+    Without the shared clock, each stop would delay ten ticks.
     """
     processes.append(start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json"))
     simulator, controller = processes[-2:]

@@ -1,4 +1,7 @@
-"""Signals of an operator or a terminal become requests, none is lost, and the handlers are restored."""
+"""Signals of an operator or a terminal become requests to the control loop.
+
+None is lost, and the signal handlers are restored.
+"""
 
 import os
 import signal
@@ -9,7 +12,7 @@ from handctl.runtime.loop import StopSignals
 
 
 class RaisedInTestError(Exception):
-    """Error that a test raises."""
+    """Error that a test raises inside a run."""
 
 
 def test_the_first_signal_stops_and_every_further_one_cuts() -> None:

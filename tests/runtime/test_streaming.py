@@ -1,4 +1,4 @@
-"""A hand in another program, in real time: streams, observations, several clients, and clients that fail."""
+"""Test how another program uses a hand in real time: streams, observations, several clients, and failing clients."""
 
 import re
 import select
@@ -21,7 +21,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
 
 @pytest.fixture
 def live(place, hand, calibrated, scale):
-    """Return a client of a live hand that it has started."""
+    """Return a client that has started the controller of a simulated hand."""
     with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale) as client:
         yield client
 
@@ -67,7 +67,10 @@ def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrat
 
 @REALTIME
 def test_only_one_of_several_clients_commands_the_hand(live):
-    """Regressions: a client that left stopped the hand, and two threads got no results of their moves."""
+    """Regression: a client that left stopped the hand of the others.
+
+    Two threads of one client got no results of their moves.
+    """
     live.move(index=10.0, duration_s=0.3)
     with library.connect("jamia", BUS) as other:
         assert other.observe().mode == "ACTIVE"
@@ -102,7 +105,7 @@ def test_only_one_of_several_clients_commands_the_hand(live):
 
 
 def test_every_watcher_gets_its_lines(place):
-    """Regression: a fifth watcher took the place of the first."""
+    """Each watcher gets status lines. Regression: a fifth watcher took the place of the first."""
     box = Mailbox("local:many")
     watchers = [Watcher("local:many") for _ in range(MAX_WATCHERS + 3)]
     for watcher in watchers:

@@ -1,4 +1,4 @@
-"""Detection of a suspend of the machine, with simulated clocks."""
+"""Test with simulated clocks that a run detects when the machine was suspended."""
 
 from handctl.runtime.clocks.suspend import SuspendWatch
 

@@ -1,4 +1,4 @@
-"""The time scale of a run: the scale of the simulator, unless the operator chooses a scale."""
+"""Test the time scale of a run. It is the scale of the simulator, unless the operator chooses another."""
 
 import pytest
 

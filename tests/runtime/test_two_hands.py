@@ -17,7 +17,7 @@ from tests.runtime.processes import (
 pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 SIDES = ("left", "right")
 RATE = ("--rate", "100")
-"""Low rate: four processes with a deadline share the processors."""
+"""Options for a low control rate, because four processes with deadlines share the processors."""
 SCALE = 0.5
 
 
@@ -38,7 +38,7 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
         assert stopped.returncode == 0, stopped.stderr
         code, result, err = result_of(runs[0])
         assert (code, result["failure"]) == (0, ""), err
-        # The second hand still holds its goal, until a stop for this hand.
+        # The second hand still holds its goal until it gets a stop of its own.
         assert runs[1].poll() is None
         wait_for("stay", watchers[1], runs[1])
     finally:

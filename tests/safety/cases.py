@@ -1,4 +1,4 @@
-"""Cases of each fault: input that shows it, input just below the limit, its action, and who may clear it."""
+"""Cases of each fault: input that shows the fault, input just below its limit, its action, and who may clear it."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,16 +16,24 @@ from handctl.safety.judge import Report, filter_error_frames, second_controller_
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, T, synthetic_limits
 
 COUNT = 8
-"""Tendons of the hand. Faults that exclude each other in one tendon are shown in two, so that they can come at once."""
+"""Number of tendons of the hand.
+
+Faults that exclude each other in one tendon are shown in two tendons, so that all faults can be
+present at once.
+"""
 LIMITS = replace(
     synthetic_limits(COUNT), tension_trip=(140.0, 50.0, *(140.0,) * 6), drive_limit=(160.0, 60.0, *(160.0,) * 6)
 )  # fmt: skip
 CELLS = COUNT
-"""The load cells among the nodes."""
+"""Index of all load cells together among the nodes of the hand."""
 
 
 class TickInput(NamedTuple):
-    """Input of one tick: rows of the state that differ from rest, by field and index, and reports of buses and host."""
+    """Input of the safety monitor for one tick.
+
+    Rows of the state that differ from those at rest are given by field and index. Reports come from
+    buses and host.
+    """
 
     rows: Mapping[str, dict[object, float]] = MappingProxyType({})
     reports: tuple[Report, ...] = ()
@@ -38,9 +46,10 @@ class Case(NamedTuple):
     """Expected behaviour of one fault.
 
     Attributes:
-        present: what shows it. almost: what just does not.
-        instance: who has it. debounce: ticks until it counts. action: what it demands. latched: an operator ends it.
-        asleep: whether it does not count while nothing is armed.
+        present: input that shows the fault. almost: input that is just below its limit.
+        instance: name of the part that has the fault. debounce: ticks until the fault counts. action: action that the
+            fault demands. latched: whether only an operator ends the fault.
+        asleep: whether the fault does not count while no drive is armed.
     """
 
     present: TickInput
@@ -53,12 +62,16 @@ class Case(NamedTuple):
 
 
 def rows(**cells: object) -> TickInput:
-    """Return rows of the state: one number for a field of the run, numbers by index for other fields."""
+    """Return an input with rows of the state. A row is one number for a field of the run, or numbers by index."""
     return TickInput({name: c if isinstance(c, dict) else {...: c} for name, c in cells.items()})  # type: ignore[misc]
 
 
 def frame_ages(field: str, **late: int) -> TickInput:
-    """Return ages in ticks: feedback of motors (m1=...), frames of load cells (t1=...) or joints (j1=...)."""
+    """Return an input with the ages of frames in ticks.
+
+    The frames are feedback of motors (m1=...), or of load cells (t1=...) or joint encoders
+    (j1=...).
+    """
     first = COUNT if field == "group_ns" and min(late)[0] == "j" else 0
     return rows(**{field: {first + int(name[1:]): NOW_NS - ticks * PERIOD_NS for name, ticks in late.items()}})
 
@@ -72,17 +85,17 @@ def sensors(**late: int) -> TickInput:
 
 
 def lost(**number: int) -> TickInput:
-    """Return losses of nodes (m1=..., cells=...) in the last ticks, the present tick excluded."""
+    """Return an input with lost frames of nodes (m1=..., cells=...) in the last ticks before the present one."""
     return rows(lost={(0, CELLS if name == "cells" else int(name[1:])): (1 << n) - 1 for name, n in number.items()})
 
 
 def misshapen(node: int, before: int) -> TickInput:
-    """Return frames of a wrong length: one in this tick, and a number of them in the ticks before."""
+    """Return an input with frames of a wrong length from a node, one in this tick and ``before`` in earlier ticks."""
     return rows(misread_now={node: 1}, misshapen={node: (1 << before) - 1})
 
 
 def residual(row: int, **values: float) -> TickInput:
-    """Return a filtered residual of tendons or motors."""
+    """Return an input with one kind of filtered residual, for the named tendons or motors."""
     return rows(residual={(row, int(name[1:])): value for name, value in values.items()})
 
 
@@ -103,7 +116,7 @@ def io(kind: str, where: str = "can0", number: int = 1) -> TickInput:
 
 
 def merge_inputs(*shown: TickInput) -> TickInput:
-    """Combine several inputs of one tick."""
+    """Combine several inputs into one input of the same tick."""
     cells: dict[str, dict[object, float]] = {}
     for one in shown:
         for name, values in one.rows.items():
@@ -115,24 +128,24 @@ def merge_inputs(*shown: TickInput) -> TickInput:
 
 
 def without_torque(shown: TickInput) -> TickInput:
-    """Return the same input for a hand that is ready to be armed."""
+    """Return an input with the mode of a hand that is ready to be armed."""
     return TickInput({**shown.rows, "mode": {...: int(Mode.READY)}}, shown.reports)
 
 
 def slack_tendon(before: int, tendon: int = 3) -> TickInput:
-    """Return a tendon that has been slack for one tick more than the limit."""
+    """Return an input with a tendon that is slack now and was slack in the ``before`` ticks before."""
     return rows(slack_ticks={tendon: before}, taut_ago={tendon: 5}, residual={(TENSION, tendon): 0.0})
 
 
 def derailed(tendon: int, deg: float) -> TickInput:
-    """Return a difference of joint and spool in the third reading."""
+    """Return an input with an angle between joint and spool of a tendon. It is the third such reading in a row."""
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
     return rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},
                 measured_excursion={tendon: excursion})  # fmt: skip
 
 
 def stream(silence_ns: int) -> TickInput:
-    """Return an open stream of targets whose latest target was sent some time ago."""
+    """Return an input with an open stream of targets. Its latest target was sent ``silence_ns`` ago."""
     return rows(streaming=2, stream_sent_ns=NOW_NS - silence_ns)
 
 
@@ -148,7 +161,7 @@ def stuck_joint(joint: int, deg: float) -> TickInput:
 
 
 def replayed_readings(tendon: int, run: int) -> TickInput:
-    """Return readings that repeat those of 16 ticks ago, for the given number of times in a row."""
+    """Return an input with load-cell readings that repeat those of 16 ticks ago, ``run`` times in a row."""
     past = {(age, tendon): 20.0 + (age - 15) / 16.0 for age in range(64)}
     return rows(past=past, same={(15, tendon): run - 1})
 
@@ -159,9 +172,9 @@ def alone_on_the_bus(heard: bool) -> TickInput:
 
 
 RELAXED = {"mode": {...: int(Mode.RELAX)}, "mode_since": {...: NOW_NS * 1e-9 - 0.2}}
-"""Rows of a hand that has been relaxing for longer than tendons need to give way."""
+"""Rows of the state of a hand that has been relaxing for longer than its tendons need to lose their tension."""
 AFTER_CUT = {"mode": {...: int(Mode.CUT)}, "cut_ticks": {...: 49}}
-"""Rows of a hand whose torque was cut 100 ms ago."""
+"""Rows of the state of a hand whose motor torque was cut 100 ms ago."""
 
 
 def pulled(tension: float) -> TickInput:
@@ -173,7 +186,7 @@ def swinging(tendon: int, before: float) -> TickInput:
 
 
 def report_fractions(motor: int, part: float) -> TickInput:
-    """Return the fraction of each command increment of 1 N that a motor reports."""
+    """Return an input with a motor that reports the fraction ``part`` of each change of its command by 1 N."""
     return rows(report_moments={(row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))})
 
 
@@ -274,11 +287,11 @@ OTHER_SIGNS = {
 
 
 def rested_monitor() -> Monitor:
-    """Return the monitor of a hand at rest. Its residuals keep the values that a test sets."""
+    """Return the safety monitor of a hand at rest. The residuals of the hand keep the values that a test sets."""
     return Monitor(LIMITS, residual_fraction=0.0, coulomb=0.0, stiffness=1e5)
 
 
 def show(monitor: Monitor, shown: TickInput) -> Rows:
-    """Reset a monitor to rest, and return the rows to set for one tick."""
+    """Reset a monitor to a hand at rest, and return the rows of an input that are to be set for one tick."""
     monitor.forget()
     return dict(shown.rows)

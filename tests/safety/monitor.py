@@ -25,10 +25,10 @@ T, N = 0.002, np.nan
 SPOOL_M = 0.005
 """Radius of the spools [m]."""
 NOW_NS = 10_000_000_000
-"""Every tick is at this time: what counts is how old something is."""
+"""Time of every tick [ns]. It can stay the same, because only the age of readings counts."""
 PERIOD_NS = round(T * 1e9)
 Rows = dict[str, Any]
-"""By the name of a field: a value for all its elements, or values by index."""
+"""Values of the state by the name of a field: one value for all elements of the field, or values by index."""
 
 
 def synthetic_limits(tendons: int) -> Limits:
@@ -43,12 +43,14 @@ def synthetic_limits(tendons: int) -> Limits:
 class Monitor:
     """A hand of N tendons. Each has a motor, a joint, and separate frames for its load cell and its joint encoder.
 
-    It is active, at rest, and everything has just answered: 20 N by cells, motors and commands.
+    The hand is active and at rest, and all nodes have just replied. Load cells, motors and commands
+    are at 20 N.
 
     Attributes:
-        limits: names and thresholds.
-        layout, block: of the state. hand, constants: layout and block of the constants, which may be changed.
-        latched, reported_faults: of ``safety.judge``.
+        limits: names of the hand's parts, and thresholds of its faults.
+        layout, block: layout and block of the state. hand, constants: layout and block of the constants. Tests may
+            change them.
+        latched, reported_faults: latched and reported faults, as ``safety.judge`` keeps them.
     """
 
     def __init__(self, limits: Limits, motor_period: Any = T, joint_period: float = T, **constants: Any) -> None:
@@ -86,7 +88,7 @@ class Monitor:
         self.calm = self.block.copy()
 
     def follow(self, limits: Limits) -> None:
-        """Use these limits from now on."""
+        """Replace the names and thresholds of the hand from the next tick on."""
         self.limits = limits
         self.set_constants(
             tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.noise,
@@ -110,7 +112,7 @@ class Monitor:
                 self.view(name)[...] = value
 
     def view(self, name: str) -> Any:
-        """Return a field of the state."""
+        """Return a field of the state as a view that can be changed."""
         return self.layout.view(self.block, name)
 
     def get(self, name: str) -> list[Any]:
@@ -118,23 +120,26 @@ class Monitor:
         return list(self.view(name).tolist())
 
     def forget(self) -> None:
-        """Reset all values to rest, except the time for which each fault has been present."""
+        """Reset all values to those of a hand at rest, except the time for which each fault has been present."""
         present = self.view("fault_ticks").copy()
         self.block[:] = self.calm
         self.set({"fault_ticks": present})
 
     @property
     def state_tables(self) -> Tables:
-        """Return the tables of the state, for interpreted functions."""
+        """Return the tables of the state, in the form that interpreted functions take."""
         return _python(state_tables)(self.block, self.layout.places)
 
     @property
     def hand_tables(self) -> ConstantTables:
-        """Return the tables of the constants, for interpreted functions."""
+        """Return the tables of the constants, in the form that interpreted functions take."""
         return _python(constant_tables)(self.constants, self.hand.places)
 
     def tick(self, rows: Rows | None = None, **more: Any) -> dict[str, dict[str, float]]:
-        """Check one tick with these rows. Return by fault and instance whether the finding counts."""
+        """Set rows of the state and find the faults of one tick.
+
+        Return the value of each finding by fault and instance.
+        """
         self.set({**(rows or {}), **more})
         self.demanded, self.found = stages.find_faults(
             self.block, self.layout.places, self._read_only(), self.hand.places, self.layout.initial
@@ -146,7 +151,7 @@ class Monitor:
         return reported
 
     def observe(self, rows: Rows | None = None) -> None:
-        """Convert received values to measurements as a tick does before the detectors run, then screen positions."""
+        """Convert received values to measurements and screen positions, as a tick does before the detectors run."""
         self.set(rows or {})
         stages.observe_tick(self.block, self.layout.places, self._read_only(), self.hand.places)
 
@@ -156,26 +161,26 @@ class Monitor:
         stages.store_commands(self.block, self.layout.places, self._read_only(), self.hand.places)
 
     def judge(self, rows: Rows | None = None, reports: Iterable[Report] = ()) -> Verdict:
-        """Check one tick completely: latched faults, and reports of buses and host included."""
+        """Judge one tick with its findings, the latched faults, and the reports of buses and host."""
         self.tick(rows)
         return self.conclude(self.demanded, reports)
 
     def conclude(self, demanded: int, reports: Iterable[Report]) -> Verdict:
-        """Latch the findings, add the reports, and select the action."""
+        """Latch the findings of a tick, add the reports, and select the action."""
         fresh = faults_counting_since_now(self.limits, self.found, self.view("fault_ticks"))
         verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded, reports)
         self.latched, self.reported_faults = verdict.latched, verdict.reported_faults
         return verdict
 
     def clear(self) -> None:
-        """Clear latched faults as an operator does."""
+        """Clear the latched faults, as a request of the operator does."""
         decisions = Decisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
         state = State(self.layout, self.block, decisions)
         clear_latched_faults(state)
         self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
 
     def name(self, kind: str, i: int) -> str:
-        """Return the name of an instance, or an empty text for a fault of the whole hand."""
+        """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""
         names = {TENDON: self.limits.tendons, MOTOR: self.limits.motors, JOINT: self.limits.joints}
         return {**names, NODE: (*self.limits.motors, LOAD_CELLS)}[kind][i] if kind in {*names, NODE} else ""
 
@@ -186,7 +191,10 @@ class Monitor:
 
 
 def _python(function: Any) -> Any:
-    """Return an inner function that Python can call, together with the inner functions that it calls."""
+    """Return an uncompiled copy of an inner function.
+
+    The inner functions that it calls are copied in the same way.
+    """
     if not hasattr(function, "py_func"):
         return function
     code = function.py_func
@@ -196,6 +204,6 @@ def _python(function: Any) -> Any:
 
 
 def call_interpreted(function: Any, *arguments: Any) -> Any:
-    """Call an inner function without compilation. It may call other functions of its module."""
+    """Call an inner function in uncompiled form. It may call other inner functions of its module."""
     with np.errstate(all="ignore"):
         return _python(function)(*arguments)

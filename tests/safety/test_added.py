@@ -1,4 +1,4 @@
-"""A new fault needs only its declaration and its detector. The test adds one to a copy of the package."""
+"""A new fault needs only its declaration and its detector. The test adds such a fault to a copy of the package."""
 
 import json
 import os
@@ -31,7 +31,7 @@ print(json.dumps({
 
 
 def add_fault_of_page(package: Path) -> None:
-    """Add the fault of the how-to page to a copy of the package."""
+    """Add the fault that the how-to page uses as its example to a copy of the package."""
     declaration, detector = re.findall(r"```python\n(.*?) *```", PAGE, re.DOTALL)
     kind = package / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:

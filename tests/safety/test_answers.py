@@ -1,4 +1,7 @@
-"""Open requests: an outstanding reply may be late, and a reply without a request is a duplicate."""
+"""Test the open requests to drives.
+
+An outstanding reply may be late, and a reply without a request is a duplicate.
+"""
 
 import pytest
 
@@ -11,7 +14,7 @@ Outstanding = tuple[tuple[int, ...], ...]
 
 
 class OpenRequests(Monitor):
-    """Motors with outstanding replies to requests of earlier ticks."""
+    """Motors that still owe replies to requests of earlier ticks."""
 
     def __init__(self, outstanding: Outstanding) -> None:
         super().__init__(synthetic_limits(len(outstanding)))
@@ -22,7 +25,7 @@ class OpenRequests(Monitor):
 
     @property
     def outstanding(self) -> Outstanding:
-        """Return the number of open requests of each motor."""
+        """Return the ticks of the open requests of each motor."""
         numbers, ticks = self.view("open_questions"), self.view("question").reshape(MAX_REQUESTS, -1)
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
@@ -33,7 +36,7 @@ class OpenRequests(Monitor):
         call_interpreted(add_requests, self.state_tables, k)
 
     def answer(self, came: list[int]) -> list[int]:
-        """Receive a number of replies from each motor. Return the motors that replied too often."""
+        """Receive ``came`` replies from each motor, and return the indices of motors that replied too often."""
         self.set({"answered": came})
         some = call_interpreted(close_answered_requests, self.state_tables, self.hand_tables)
         surplus = self.view("surplus")
@@ -44,7 +47,7 @@ class OpenRequests(Monitor):
 @pytest.mark.parametrize(("outstanding", "able", "after"), [
     (((), ()), (True, True), ((7,), (7,))),
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
-    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # a node that may skip replies owes the last one
+    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # a drive that may skip replies owes the last one
     (((), ()), (False, False), ((7,), (7,))),
     ((tuple(range(7)), tuple(range(-1, 7))), (True, True), ((*range(7), 7), tuple(range(8)))),
     (((7 - WINDOW, 6), (8 - WINDOW, 6)), (True, True), ((6, 7), (8 - WINDOW, 6, 7))),    # the oldest request expires
@@ -67,10 +70,10 @@ def test_outstanding_requests_are_limited() -> None:
 @pytest.mark.parametrize(("outstanding", "came", "after", "too_many"), [
     (((1,), (1,)), [1, 1], ((), ()), []),
     (((1,), (1,)), [1, 0], ((), (1,)), []),
-    (((1, 2), (2,)), [2, 1], ((), ()), []),                   # a late reply and a new reply
+    (((1, 2), (2,)), [2, 1], ((), ()), []),                   # a late and a new reply arrive in one tick
     (((1,), (1,)), [2, 1], ((), ()), [0]),
     (((), (1,)), [1, 3], ((), ()), [0, 1]),
-    (((1, 2, 3), ()), [1, 0], ((1, 2), ()), []),              # lost replies stay outstanding
+    (((1, 2, 3), ()), [1, 0], ((1, 2), ()), []),              # requests with lost replies stay open
     (((), ()), [0, 0], ((), ()), []),
     (((1,), (1, 2)), [1, 1], ((), (1,)), []),
     (((1,), ()), [1, 1], ((), ()), [1]),
@@ -86,7 +89,7 @@ def test_replies_match_requests_and_the_rest_is_excess(outstanding, came, after,
 
 @pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])
 def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int) -> None:
-    """After ticks without a reply, as many replies at once are no duplicate. One more reply is a duplicate."""
+    """After some ticks without a reply, all missing replies may arrive at once. One reply more is a duplicate."""
     questions = OpenRequests(((),))
     for start in range(2 * WINDOW):
         questions.set({"open_questions": 0})

@@ -1,4 +1,4 @@
-"""Correlation of torque reports with torque commands: drives that follow their command, and drives that do not."""
+"""Test the correlation of torque reports with torque commands. Some drives follow their commands, others do not."""
 
 import numpy as np
 import pytest
@@ -10,21 +10,21 @@ TICKS = 1000
 
 
 class Motors(Monitor):
-    """Motors with commanded and reported forces, checked after each tick."""
+    """Two motors with commanded and reported forces, and the safety monitor that compares the forces in each tick."""
 
     def __init__(self, torque_step: float = 0.078) -> None:
         super().__init__(synthetic_limits(2), torque_step=torque_step)
         self.doubted = np.zeros(2, dtype=bool)
-        """Motors that were ever said not to follow."""
+        """Whether a tick has reported that the motor does not follow its commands, for each motor."""
 
     def step(self, force: np.ndarray, report: np.ndarray) -> None:
-        """Process the command of the last tick and the present report."""
+        """Run one tick with the force commands of the last tick and the present reports."""
         self.unfollowed = self.tick(asked=force, measured_force=report).get("N17", {})
         self.doubted |= [name in self.unfollowed for name in self.limits.motors]
 
     @property
     def parts(self) -> list[float]:
-        """Return the fraction of each command change that is reported."""
+        """Return for each motor the fraction of a command change that its reports show."""
         return [call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)]
 
 
@@ -45,7 +45,7 @@ def rounded(force: np.ndarray) -> np.ndarray:
 
 
 def delayed_reports(commanded: np.ndarray, ticks: int = 1) -> np.ndarray:
-    """Return the reports of drives that obey with a delay in ticks, in the order in which the ticks get them."""
+    """Return the reports of drives that obey with a delay in ticks. Row k is the report that tick k receives."""
     return rounded(np.roll(commanded, ticks, axis=0))
 
 
@@ -59,7 +59,10 @@ def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("fraction", [0.1, 0.2, 0.3, 0.5, 1.0])
 def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -> None:
-    """Regression: commissioning ended with N17. One count of an AK80-6 is 1.17 N at a spool of 5 mm."""
+    """Regression: commissioning ended with the fault N17.
+
+    One count of an AK80-6 motor is 1.17 N at a spool of 5 mm.
+    """
     step = 1.17
     commanded = 90.0 * (1.0 + 0.01 * np.random.default_rng(seed).random()) + fraction * step * (
         noisy_commands(seed, 1.0) - 90.0
@@ -103,14 +106,17 @@ def test_one_outlier_is_not_a_fault() -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("size", [0.02, 0.1, 1.0])
 def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> None:
-    """Regression: a demo in real time ended with N17, because a busy host read every reply one tick late."""
+    """Regression: a demo in real time ended with the fault N17, because a busy host read every reply one tick late."""
     commanded = noisy_commands(seed, size)
     assert not doubted_motors(commanded, delayed_reports(commanded, 2)).any()
 
 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """(TICKS, 2) commands, and the reports of drives that obey, on a bus that stands still for one to five ticks now
-    and then: what was sent meanwhile is answered at once, before any of it is obeyed. The command moves on."""
+    """Return commands (TICKS, 2) [N] and the reports of drives that obey, on a bus that sometimes stands still.
+
+    A standstill lasts one to five ticks, and commands change meanwhile. The first reports after it
+    still show the command from before the standstill.
+    """
     random = np.random.default_rng(seed)
     commanded, made = noisy_commands(seed), np.full((TICKS, 2), np.nan)
     obeyed, standstill = commanded[0].copy(), 0
@@ -124,7 +130,7 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def doubted_motors(commanded: np.ndarray, made: np.ndarray) -> np.ndarray:
-    """Return for both motors whether a tick reported that the motor does not follow."""
+    """Return for both motors whether any tick reported that the motor does not follow its commands."""
     return after(commanded, made).doubted
 
 

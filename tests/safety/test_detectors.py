@@ -1,4 +1,4 @@
-"""Causes from drives, limits, faults declared in a test, and the generated pages."""
+"""Test causes of faults that drives report, limits of a hand, faults that a test declares, and generated pages."""
 
 import pytest
 
@@ -80,7 +80,7 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
         CatalogueRow("B", "t", "fault table", ticks=3, required=3),
     )
     longer = CatalogueRow("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
-    free = CatalogueRow("D", "t", "fault table", ticks=9)  # without a latest time, no fault is late
+    free = CatalogueRow("D", "t", "fault table", ticks=9)  # a fault without a required time is never late
     at_once = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
     assert [is_late(one) for one in (soon, just, longer, free, at_once)] == [False, False, True, False, True]
     assert late_rows((soon, just, longer, free)).splitlines() == [

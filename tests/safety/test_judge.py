@@ -1,4 +1,7 @@
-"""Several faults: the largest action wins, latched faults stay, and further faults never reduce the action."""
+"""Test several faults at once.
+
+The most severe action wins, latched faults stay, and further faults never weaken the action.
+"""
 
 from itertools import pairwise
 
@@ -40,7 +43,7 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
 
 @pytest.mark.parametrize(("first", "second"), [*PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")])
 def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str) -> None:
-    """One fault comes and goes before the other. The first stays latched, and the second is still reported."""
+    """The first fault ends before the second begins. The first stays latched, and the second is still reported."""
     a, b = CASES[first], CASES[second]
     monitor, first_verdicts = check_ticks(*[a.present] * a.debounce, REST)
     _, verdicts = check_ticks(*[b.present] * b.debounce, monitor=monitor)
@@ -81,7 +84,7 @@ def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
 
 
 LOUD = {id_: rows(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
-"""Frames that are too many even after as many missed ticks as another fault shows."""
+"""Inputs with too many frames. There are too many even if another fault of the test is shown by missed ticks."""
 SHOWN = {id_: LOUD.get(id_, CASES[id_].present) for id_ in ARMED}
 several = st.lists(st.sampled_from(ARMED), max_size=4)
 faulty = several.map(lambda ids: merge_inputs(*(SHOWN[i] for i in ids)))
@@ -90,7 +93,10 @@ course_of_faults = st.lists(st.tuples(faulty, several, st.booleans()), max_size=
 
 @given(course_of_faults)
 def test_additional_faults_never_weaken_the_action(ticks: list[tuple[TickInput, list[str], bool]]) -> None:
-    """Compare two runs with the same clear requests. One of them has additional faults in some ticks."""
+    """Of two runs with the same clear requests, one has additional faults in some ticks.
+
+    Its action is never weaker.
+    """
     less, more = rested_monitor(), rested_monitor()
     for shown, extra, cleared in ticks:
         if cleared:

@@ -1,4 +1,4 @@
-"""Lost frames, position jumps and stuck readings: each rule just below and just above its limit."""
+"""Test the rules for lost frames, position jumps and stuck readings, each just below and just above its limit."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -18,17 +18,17 @@ NAN = np.nan
 
 
 def bits(text: str) -> int:
-    """Return the bits of a text whose last character is the newest."""
+    """Return the bits of a text of 0 and 1. The last character is the newest tick."""
     return int(text, 2)
 
 
 def words(window: int) -> tuple[int, int]:
-    """Return the two words of a window: the newer half, and the older."""
+    """Return the two words that store a window of losses: the newer and the older half of its bits."""
     return window & losses.WORD_MASK, window >> losses.BITS_PER_WORD
 
 
 class Window(Monitor):
-    """A motor and its load cell, with a window of their lost frames."""
+    """A motor and its load cell. For each there is a window with one bit for each tick, set if a frame was lost."""
 
     def __init__(self, motor: int = 0, cells: int = 0, **constants: Any) -> None:
         super().__init__(synthetic_limits(1), **constants)
@@ -36,7 +36,7 @@ class Window(Monitor):
         self.set({"lost": {(half, node): pair[half] for node, pair in enumerate(pairs) for half in (0, 1)}})
 
     def count(self, motor: bool = False, cells: bool = False, **rows: Any) -> tuple[int, int]:
-        """Process one tick in which these nodes are late. Return the windows of losses."""
+        """Run one tick in which the given nodes have not replied, and return their windows of losses."""
         self.tick({"feedback_ns": NOW_NS - motor * PERIOD_NS, "group_ns": NOW_NS - cells * PERIOD_NS}, **rows)
         return self.windows
 
@@ -53,7 +53,7 @@ class Window(Monitor):
     ((0, 0), (True, True), (0b1, 0b1)),
     ((0b1, 0b0), (False, True), (0b10, 0b1)),
     ((0b101, 0b1), (True, True), (0b1011, 0b11)),
-    ((1 << (WINDOW - 1), 0), (False, False), (0, 0)),                # the oldest bit leaves the window
+    ((1 << (WINDOW - 1), 0), (False, False), (0, 0)),                # the bit of the oldest tick leaves the window
     ((1 << (WINDOW - 1), 0), (True, False), (1, 0)),
     ((1 << (WINDOW - 2), 0), (False, False), (1 << (WINDOW - 1), 0)),
     ((1 << (WINDOW // 2 - 1), 1 << (WINDOW // 2)), (False, True), (1 << WINDOW // 2, 1 << WINDOW // 2 + 1 | 1)),
@@ -97,7 +97,10 @@ def test_the_count_of_unknown_frames_decays_in_a_second():
 
 
 def refusal_counter(rate: float) -> Any:
-    """Return a function that counts the refused targets of a tick. It returns the ticks of the stored refusals."""
+    """Return a function that counts the targets refused in tick k.
+
+    It returns the ticks of all refusals that still count.
+    """
     window = Window()
     state = State(window.layout, window.block, Decisions((), None))  # type: ignore[arg-type]
     controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / rate))
@@ -130,14 +133,17 @@ def test_lost_and_malformed_replies_are_counted_separately():
 
 
 class Positions(Monitor):
-    """Motors with screened positions, and their largest permitted step in a period [rad]."""
+    """Motors whose reported positions are screened.
+
+    Each has the largest step that is permitted in a period [rad].
+    """
 
     def __init__(self, limits: list[float], **before: list[float]) -> None:
         super().__init__(synthetic_limits(len(limits)), step_limit=limits)
         self.set(before)
 
     def screen(self, value: list[float], missed: int = 0) -> list[float]:
-        """Process positions, NaN where missing. Return the size of the jump of each."""
+        """Screen one position per motor, NaN where it is missing, and return the size of the jump of each."""
         given = np.array(value)
         self.observe({"answered": ~np.isnan(given), "position": given, "missed": missed})
         return self.get("jump")
@@ -188,14 +194,15 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
 
 
 @pytest.mark.parametrize(("missed", "steps", "allowed_steps"), [
-    # Steps of readings in units of the allowed step of a period, and 1 for each jump. The first reading after skipped
-    # ticks may answer a request from before or after them. The second reading is then late by the same time.
+    # Steps of readings are in units of the step that one period allows. A jump is marked with 1.
+    # The first reading after skipped ticks may answer a request from before or after these ticks.
+    # The second reading may then be late by the same time.
     (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
 def test_allowed_step_grows_over_skipped_ticks(missed, steps, allowed_steps):
-    """Check two equal positions, and one position that was read beside one that was not."""
+    """The other motor is once at a known position, and once it has never been read."""
     for other in (0.0, NAN):
         positions, at, seen = Positions([1.0] * 2, accepted=[0.0, other]), 0.0, []
         for k, step in enumerate(steps):
@@ -211,7 +218,11 @@ def test_a_missing_reading_after_skipped_ticks_increases_the_allowed_step():
 
 
 def add_reading(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[int, float, float]:
-    """Add a reading of an encoder. Return the ticks without a change, and the motion of target and tension since."""
+    """Run a tick with an encoder reading, a target and a tension.
+
+    Return the number of ticks without a change of the reading, and the motion of target and tension
+    since its last change.
+    """
     rows: Rows = {"measured_position": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
@@ -220,7 +231,10 @@ def add_reading(monitor: Monitor, value: float, goal: float, tension: float) -> 
 
 
 def ticks_and_motion(values, witnesses):
-    """Return the ticks and the distance of each correlated signal after each tick."""
+    """Return the monitor, and for each tick the results of ``add_reading``.
+
+    The correlated signals of a reading are its target and its tension.
+    """
     monitor = Monitor(synthetic_limits(1), residual_fraction=0.0)
     return monitor, [add_reading(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)]
 
@@ -233,7 +247,7 @@ def test_constant_reading_counts_while_its_references_move():
 
 
 def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
-    """The travel of a tendon that passes a wrist is counted without the wrist's part, which changes on its own."""
+    """A wrist changes the travel of tendons that pass it. This change does not show that their motors turn."""
     monitor = Monitor(synthetic_limits(1), residual_fraction=0.0)
     for k in range(5):
         monitor.tick({"measured_position": 1.0, "measured_travel": 1e-4 * k, "followed": 0.0})
@@ -256,7 +270,7 @@ def test_missing_reference_is_used_once_it_is_read():
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
-    """A target that is reset to the measured position jumps, and no motor has to follow this jump."""
+    """A target jumps when it is reset to the measured position. No motor has to follow this jump."""
     monitor = Monitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],

@@ -28,7 +28,10 @@ def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
 
 
 def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:
-    """With a tare of -3 N a broken wire reads -3 N, which a tendon may also read for a moment."""
+    """With a tare of -3 N, a load cell with a broken wire reads -3 N.
+
+    An intact load cell may read this for a moment too.
+    """
     shown = merge_inputs(tensions(t1=-3.0), rows(saturated={1: 1}))
     assert Monitor(LIMITS).tick(shown.rows)["T06"] == {"t1": -3.0}
     assert "T06" not in Monitor(LIMITS).tick(without_torque(shown).rows)

@@ -1,4 +1,7 @@
-"""Repeated load-cell readings and oscillating tensions: detected when present, and no false alarm otherwise."""
+"""Test the detection of repeated load-cell readings and of oscillating tensions.
+
+Neither is reported when it is absent.
+"""
 
 import math
 import os
@@ -21,13 +24,16 @@ STEP_N = 0.0625
 
 
 def readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarray:
-    """Return (ticks, n) readings [N] about 20 N in counts of a load cell, with noise [N]."""
+    """Return readings (ticks, n) [N] of load cells at 20 N with noise [N], rounded to their counts."""
     chance = np.random.default_rng(seed)
     return np.round((20.0 + chance.normal(0.0, noise, (ticks, n))) / STEP_N) * STEP_N
 
 
 def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
-    """Return the first tick with a finding and the finding, or -1 without a finding."""
+    """Return the first tick in which repeated readings are found, and the tendons with their age.
+
+    The tick is -1 if none are found.
+    """
     monitor = Monitor(synthetic_limits(rows.shape[1]))
     for k, row in enumerate(rows):
         if found := monitor.tick(measured_tension=row).get("T05b"):
@@ -49,13 +55,16 @@ def test_repeated_content_is_found_within_sixteen_ticks(seed: int, age: int) -> 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.05, 0.1, 0.5, 1.5])
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 4))
 def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise: float) -> None:
-    """Include a load cell that is constant or toggles between two counts."""
+    """This includes a load cell whose readings are constant or toggle between two counts."""
     assert first_found(readings(seed, 20_000 if NIGHTLY else 3_000, noise)) == (-1, [])
 
 
 @pytest.mark.parametrize("cycle", [[3.0], [3.0, 2.9375], [2.9375, 3.0, 3.0], [3.0, 3.0625, 3.0, 2.9375, 3.0]])
 def test_limit_cycle_of_a_few_counts_is_no_repetition(cycle: list[float]) -> None:
-    """Without noise, a tension loop with coarse load cells has a limit cycle. Commissioning at rest once had it."""
+    """A tension loop with coarse load cells has a limit cycle without noise.
+
+    Such a cycle once occurred in commissioning.
+    """
     assert first_found(np.array([[cycle[k % len(cycle)]] for k in range(500)])) == (-1, [])
 
 
@@ -66,7 +75,10 @@ def test_a_missing_reading_is_no_repetition() -> None:
 
 
 def first_oscillation(deviation: np.ndarray, period: float) -> tuple[float, float]:
-    """Return the time [s] at which a deviation [N] counts as an oscillation, -1 if never, and its RMS then [N]."""
+    """Return the time [s] at which a tension deviation [N] first counts as oscillation, and its RMS then [N].
+
+    The time is -1 if it never counts as an oscillation.
+    """
     monitor = Monitor(synthetic_limits(2), period=period)
     for k, value in enumerate(deviation):
         if found := monitor.tick(measured_tension=[value, 0.0], wanted=0.0).get("N14b"):

@@ -1,4 +1,4 @@
-"""Reports of buses, host and recorder, and the faults that they mean."""
+"""Test which faults follow from reports of the buses, the host and the recorder."""
 
 from handctl.safety.judge import Report, filter_error_frames, locate_reports
 
@@ -33,7 +33,7 @@ def test_only_missing_acknowledges_mean_alone_on_the_bus() -> None:
 
 
 def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> None:
-    """B18 counts only before arming. A reply proves that the bus has other nodes."""
+    """The fault B18 counts only before the hand is armed. A reply proves that the bus has other nodes."""
     unheard = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):
         one = ("error_frame", f"can0 {word}", 1.0)

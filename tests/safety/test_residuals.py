@@ -1,4 +1,7 @@
-"""Residual of a tension after torque, inertia and friction, compared with cases computed by hand."""
+"""Test the tension residual: the measured tension minus the part that torque, inertia and friction explain.
+
+The expected values were computed by hand.
+"""
 
 from collections.abc import Callable
 from statistics import NormalDist
@@ -27,29 +30,29 @@ Course = Callable[[float], float]
 
 
 class Rotor(Monitor):
-    """One motor and its tendon."""
+    """One motor and its tendon, with residuals that start at zero."""
 
     def __init__(self, **rows: Any) -> None:
         super().__init__(synthetic_limits(1), motor_mass=MASS, motor_damping=DAMPING, coulomb=COULOMB)
         self.set({"residual": 0.0, **rows})
 
     def step(self, tension: float, force: float, speed: float = 0.0, asked: float | None = None) -> None:
-        """Process one tick."""
+        """Run one tick with a measured tension, a reported motor force, a speed, and a commanded force."""
         commanded = force if asked is None else asked
         self.tick(speed=speed, measured_tension=tension, measured_force=force, asked=commanded)
 
     def low(self, row: int) -> float:
-        """Return a filtered residual."""
+        """Return one kind of filtered residual by its row."""
         return float(self.view("residual")[row, 0])
 
     @property
     def unexplained(self) -> float:
-        """Return the unexplained tension [N]."""
+        """Return the part of the tension that motor, inertia, friction and tolerances do not explain [N]."""
         return float(call_interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0))
 
     @property
     def friction(self) -> float:
-        """Return the friction above the modelled friction [N]."""
+        """Return the friction of the motor in excess of the modelled friction [N]."""
         return float(call_interpreted(residuals.excess_friction, self.state_tables, 0))
 
 
@@ -57,7 +60,7 @@ def residuals_after(
     seconds: float, tension: Course, force: Course, speed: Course = lambda t: 0.0, asked: Course | None = None,
     noise: float = 0.5,
 ) -> Rotor:  # fmt: skip
-    """Return the residuals of a tendon after some time."""
+    """Return a motor and its tendon after ``seconds``. Tension, force and speed are functions of time."""
     rotor = Rotor()
     for k in range(round(seconds / T)):
         t = k * T
@@ -73,7 +76,7 @@ def test_a_tendon_at_rest_leaves_no_residual(held):
 
 
 def test_inertia_friction_and_damping_are_explained():
-    """The rotor oscillates by 10 mm/s at 2 Hz, with the friction of the hand file."""
+    """The tendon speed oscillates by 10 mm/s at 2 Hz. The friction is that of the hand file."""
     w, a = 2 * np.pi * 2.0, 0.01
 
     def speed(t):
@@ -88,7 +91,7 @@ def test_inertia_friction_and_damping_are_explained():
 
 
 def test_acceleration_torque_is_no_residual():
-    """Accelerate at 10 m/s2 for 0.1 s. The rotor takes 52 N of the motor force."""
+    """A rotor accelerates at 10 m/s2 for 0.1 s, which takes 52 N of the motor force. This force is no residual."""
 
     def force(t):
         speed = 10.0 * t
@@ -112,7 +115,10 @@ def test_a_torque_constant_within_its_tolerance_is_no_fault():
 
 
 def test_friction_that_has_grown_is_seen_in_motion_only():
-    """T09: a motor that moves to and fro for 15 s needs 8 N more than the hand file states."""
+    """The friction is 8 N above that of the hand file.
+
+    It shows as fault T09 when the motor moves to and fro for 15 s.
+    """
     w, a = 2 * np.pi, 0.02
 
     def speed(t):
@@ -128,7 +134,10 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
 
 
 def test_missing_torque_is_detected():
-    """A missing force of 39 N exceeds the limit after 20 ticks, and 14.9 N stay below it."""
+    """A missing motor force of 39 N exceeds the limit of a fault within 20 ticks.
+
+    A missing force of 14.9 N stays below it.
+    """
     state = residuals_after(20 * T, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 39.0)
     assert state.low(COMMAND_DIFFERENCE) > NOT_OBEYED_N
     state = residuals_after(0.5, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 14.9)
@@ -136,7 +145,7 @@ def test_missing_torque_is_detected():
 
 
 def test_noise_causes_no_fault_in_ten_thousand_hours():
-    """Compare filtered noise of a hand at rest, at three times the load-cell noise, with the warning limits."""
+    """The filtered noise of a hand at rest stays below all warning limits, even with load cells of triple noise."""
     left = np.array([residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).low(BALANCE) for _ in range(40)])
     chance = 1.0 / (10_000.0 * 3600.0 / T)
     rare = NormalDist(sigma=float(left.std())).inv_cdf(1.0 - chance / 2.0)

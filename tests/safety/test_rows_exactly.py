@@ -1,4 +1,4 @@
-"""Rows exactly at their limits, and the text that they give beside the fault."""
+"""Test each row of the fault table exactly at its limit, and the text that its fault adds to an event."""
 
 import math
 
@@ -27,7 +27,7 @@ UNREAD = tensions(**dict.fromkeys(LIMITS.tendons, NAN))
 
 
 def readings(id_: str, shown: TickInput) -> list[tuple[str, float]]:
-    """Return the finding of a row in one tick."""
+    """Return the findings of one fault in a tick with the given input, as pairs of part and value."""
     monitor = rested_monitor()
     return list(monitor.tick(show(monitor, shown)).get(id_, {}).items())
 

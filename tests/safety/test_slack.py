@@ -1,4 +1,7 @@
-"""Tendons that are taut, slack, snapped, or still pulled after a cut: each rule just below and above its limit."""
+"""Test tendons that are taut, slack, snapped, or still pulled after a cut.
+
+Each rule is tested just below and above its limit.
+"""
 
 import math
 from typing import Any
@@ -17,19 +20,22 @@ Values = list[float]
 
 
 class Tendons(Monitor):
-    """Tendons whose filtered tension a test sets."""
+    """Tendons whose filtered tensions are set by a test."""
 
     def __init__(self, count: int, **rows: Any) -> None:
         super().__init__(synthetic_limits(count), residual_fraction=0.0)
         self.set(rows)
 
     def step(self, tension: Values, wanted: Values, **rows: Any) -> list[tuple[int, int]]:
-        """Process tensions and commands. Return for each tendon the ticks since it was taut, and the ticks of slack."""
+        """Run a tick with tensions and commands.
+
+        Return for each tendon the ticks since it was taut, and its ticks of slack.
+        """
         self.reported = self.tick(residual={TENSION: tension}, wanted=wanted, **rows)
         return list(zip(self.get("taut_ago"), self.get("slack_ticks"), strict=True))
 
     def cut(self, tension: Values, **rows: Any) -> dict[str, float]:
-        """Process load cells after the torque was cut. Return the tendons that are still pulled."""
+        """Run a tick with load-cell readings after the torque was cut. Return the tendons that are still pulled."""
         return self.tick(measured_tension=tension, mode=int(Mode.CUT), **rows).get("N16", {})
 
 
@@ -39,14 +45,14 @@ class Tendons(Monitor):
     (2.6, 20.0, (7, 5), (0, 0)),      # taut again
     (2.5, 20.0, (-1, 0), (-1, 0)),    # never taut yet, so it cannot go slack
     (0.0, 20.0, (-1, 0), (-1, 0)),
-    (2.5, 20.0, (0, 0), (1, 0)),      # between slack and taut
-    (2.0, 20.0, (3, 4), (4, 0)),      # just not slack: the count restarts
+    (2.5, 20.0, (0, 0), (1, 0)),      # the tension is between slack and taut
+    (2.0, 20.0, (3, 4), (4, 0)),      # just not slack, so the count of slack restarts
     (1.9, 20.0, (3, 4), (4, 5)),
     (1.9, 2.5, (3, 4), (4, 0)),       # the commanded tension is so low that slack is allowed
     (1.9, 2.6, (3, 4), (4, 5)),
     (1.9, NAN, (3, 4), (-1, 0)),      # a limp tendon may be slack, and must become taut again
     (30.0, NAN, (3, 4), (-1, 0)),
-    (NAN, 20.0, (3, 4), (4, 0)),      # no sample: neither slack nor taut
+    (NAN, 20.0, (3, 4), (4, 0)),      # without a sample a tendon is neither slack nor taut
 ])  # fmt: skip
 def test_slack_detector_updates_its_counts_in_each_tick(cell, goal, before, after):
     tendons = Tendons(1, taut_ago=before[0], slack_ticks=before[1])
@@ -75,11 +81,11 @@ def test_slack_is_reported_by_name_and_in_seconds():
 @pytest.mark.parametrize(("ago", "cell", "goal", "speed", "found"), [
     (0, 0.0, 24.0, 0.05, True),
     (49, 0.0, 24.0, 0.05, True),
-    (50, 0.0, 24.0, 0.05, False),     # 100 ms ago
-    (-1, 0.0, 24.0, 0.05, False),     # never taut
+    (50, 0.0, 24.0, 0.05, False),     # last taut 100 ms ago
+    (-1, 0.0, 24.0, 0.05, False),     # the tendon has never been taut
     (0, 4.7, 24.0, 0.05, True),
-    (0, 4.81, 24.0, 0.05, False),     # a fifth of the tension is left
-    (0, 4.0, 20.0, 0.05, False),      # exactly
+    (0, 4.81, 24.0, 0.05, False),     # more than a fifth of the tension is left
+    (0, 4.0, 20.0, 0.05, False),      # exactly a fifth of the tension is left
     (0, 0.0, 8.0, 0.05, False),       # the commanded tension was too low to decide
     (0, 0.0, 8.1, 0.05, True),
     (0, 0.0, 24.0, 0.03, False),      # the spool is too slow
@@ -90,7 +96,10 @@ def test_slack_is_reported_by_name_and_in_seconds():
     (0, 0.0, 24.0, NAN, False),
 ])  # fmt: skip
 def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
-    """One filtered tension lies between slack and taut, so its count of ticks goes on. The other tendon is taut."""
+    """The tested tendon lies between slack and taut, so its ticks since it was taut go on.
+
+    The other tendon is taut.
+    """
     tendons = Tendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
     taut = 20.0 if ago == 0 else 2.2
     tendons.step([20.0, taut], [24.0, goal], measured_tension=[20.0, cell], speed=[0.05, speed])
@@ -135,7 +144,7 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
 
 
 @pytest.mark.parametrize(("ticks", "before", "now", "found"), [
-    (49, 30.0, 30.0, False),          # before the time limit
+    (49, 30.0, 30.0, False),          # the time limit has not passed
     (50, 30.0, 30.0, True),
     (51, 30.0, 30.0, True),
     (50, 30.0, 15.1, True),
@@ -143,12 +152,15 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
     (50, 24.0, 12.0, False),          # the tension fell to exactly half
     (50, 10.0, 10.0, False),          # no more than the tension by springs and weight
     (50, 10.1, 10.1, True),
-    (50, 5.0, 40.0, True),            # grown
+    (50, 5.0, 40.0, True),            # the tension has grown
     (50, 30.0, NAN, False),
-    (50, NAN, 30.0, False),           # read for the first time in this tick, or never
+    (50, NAN, 30.0, False),           # the tendon had no reading before this tick
 ])  # fmt: skip
 def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
-    """The first reading of a tendon becomes its reference, so it is not below the reference."""
+    """A tendon without an earlier reading takes its first reading as its reference.
+
+    This reading is not below the reference.
+    """
     tendons = Tendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
     reported = tendons.cut([0.0, now])
     if math.isnan(before):
@@ -159,7 +171,10 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, foun
 
 
 def test_the_last_tension_counts_if_the_latest_sample_is_missing():
-    """The check starts 80 ms after the cut. Readings from before do not show whether the motor let go."""
+    """The check uses readings from 80 ms after the cut on.
+
+    Earlier readings do not show whether the motor let the tendon go.
+    """
     tendons = Tendons(2)
     for k in range(50):
         tendons.cut([30.0 if k < 40 else NAN, 30.0 if k < 41 else NAN])

@@ -1,4 +1,4 @@
-"""Every row of the fault table: its limit from both sides, its action, and who may clear it."""
+"""Test every row of the fault table: its limit from both sides, its action, and who may clear its fault."""
 
 import math
 import re
@@ -34,7 +34,7 @@ SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 
 
 def check_ticks(*ticks: TickInput, monitor: Monitor | None = None) -> tuple[Monitor, list[Verdict]]:
-    """Check ticks one after the other."""
+    """Judge several ticks one after the other, and return the monitor and the verdicts."""
     monitor = monitor or rested_monitor()
     return monitor, [monitor.judge(show(monitor, shown), shown.reports) for shown in ticks]
 
@@ -42,7 +42,10 @@ def check_ticks(*ticks: TickInput, monitor: Monitor | None = None) -> tuple[Moni
 def check_fault_alone(
     id_: str, *ticks: TickInput, monitor: Monitor | None = None
 ) -> tuple[Monitor, list[Action], list[tuple[str, str]]]:
-    """Check ticks. Return the action of one fault in each tick, and the tick from which it counts."""
+    """Judge several ticks.
+
+    Return the monitor, the action of one fault in each tick, and the findings of this fault.
+    """
     monitor, actions, reported = monitor or rested_monitor(), [], []
     for shown in ticks:
         verdict = monitor.judge(show(monitor, shown), shown.reports)
@@ -151,7 +154,7 @@ def test_each_row_is_one_line_for_the_operator() -> None:
 
 
 DOUBT_THE_LOOP = {"N04", "N05b", "N06b", "N12", "N13", "N14", "N14b", "N17", "T04b", "T05b", "B06", "H13"}
-"""Faults after which measurements of the tension loop may be wrong, or the drive may not obey it."""
+"""Faults that cast doubt on the tension loop. Its measurements may be wrong, or a drive may not obey it."""
 
 
 def test_faults_of_the_tension_loop_relax_without_it() -> None:
@@ -170,7 +173,10 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
 
 
 def test_a_fault_is_either_found_or_reported() -> None:
-    """Detectors address a row by the index that its declaration returned."""
+    """A fault is either found by a detector or reported by a bus or the host.
+
+    A detector has one row for each kind of part.
+    """
     for fault in TABLE:
         assert bool(fault.per) != bool(fault.reports), fault.id
         assert [kind for one, kind in DETECTOR_ROWS if one is fault] == list(fault.per)
@@ -189,7 +195,10 @@ def test_a_time_is_rounded_to_ticks(seconds: float, period: float, least: int, t
 
 
 def trace(id_: str) -> list[tuple[Action, int]]:
-    """Return actions and number of findings of one fault over its onset and end, debounced by interpreted code."""
+    """Return the action and the number of findings of one fault in each tick, from before its onset to its end.
+
+    Interpreted code debounces the fault.
+    """
     case, monitor, seen = CASES[id_], rested_monitor(), []
     kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_}
     for shown in [case.almost, *[case.present] * (case.debounce + 1), REST]:
@@ -206,7 +215,7 @@ def trace(id_: str) -> list[tuple[Action, int]]:
 
 @pytest.fixture
 def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
-    """Declare a fault with changed properties."""
+    """Return a function that replaces the declaration of a fault by a changed one."""
 
     def declare(other: Fault) -> None:
         found = tuple((other if fault.id == other.id else fault, kind) for fault, kind in DETECTOR_ROWS)
@@ -227,7 +236,7 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("id_", CASES)
 def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
-    """Change each number and word of a row by one step: the result differs, so the cases can fail."""
+    """If a number or a word of a row is changed by one step, the result differs. The cases can therefore fail."""
     fault = BY_ID[id_]
     other = ITSELF if fault.latched else OPERATOR
     changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]
@@ -237,7 +246,7 @@ def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
     right = trace(id_)
     for mutant in changed:
         if (mutant.action, mutant.latched) == (Action.PASS, True) or fault.action == mutant.action == Action.PASS:
-            continue  # PASS is no action, even if latched
+            continue  # a latched fault without an action has no effect
         declare_changed(mutant)
         assert trace(id_) != right, mutant
 

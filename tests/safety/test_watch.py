@@ -1,4 +1,7 @@
-"""State of the monitor between ticks, on two synthetic tendons: each fault just below and above its limit."""
+"""Test the state that the safety monitor keeps between ticks.
+
+Two synthetic tendons show each fault just below and above its limit.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -30,7 +33,10 @@ Evidence = dict[str, dict[str, float]]
 
 
 def make_monitor(stiffness: float = 1e5, motor_period: Any = T, joint_period: float = T) -> Monitor:
-    """Return a monitor of two tendons with a stiffness [N/m] and sampling periods of motors and joints [s]."""
+    """Return the safety monitor of two tendons.
+
+    Stiffness [N/m] and sampling periods of motors and joints [s] are given.
+    """
     arms = np.array([0.02, 0.01])
     monitor = Monitor(
         LIMITS, motor_period, joint_period, stiffness=stiffness, arms_sum=arms, excursion_to_joints=np.diag(1.0 / arms),
@@ -46,23 +52,30 @@ NAMES = {"tension": "measured_tension", "travel": "measured_travel", "position":
 
 
 def resting_tick(**given: Any) -> dict[str, Any]:
-    """Return a tick of two tendons at rest under 20 N with some changes. A single number is for both tendons."""
+    """Return the measurements of two tendons that rest under 20 N, with some changes.
+
+    A single number is for both tendons.
+    """
     facts = {"tension": 20.0, "travel": 0.0, "speed": 0.0, "force": 20.0, "excursion": N, "joints": N, "read": False}
     facts |= given
-    # Both are of one encoder: the travel is the position times the radius of the spool.
+    # Travel and position come from the same encoder. The travel is the position times the radius of
+    # the spool.
     facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_M)
     return {NAMES[name]: value for name, value in facts.items()}
 
 
 def monitor_at_20_newton(monitor: Monitor | None = None, **given: Any) -> Monitor:
-    """Return a hand at rest whose commanded and planned tensions are 20 N."""
+    """Return the monitor of a hand at rest whose commanded and planned tensions are 20 N."""
     monitor = monitor or make_monitor()
     monitor.set({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | given)
     return monitor
 
 
 def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Monitor, Evidence]:
-    """Return the same tick several times. Values that are functions get the number of the tick."""
+    """Run the same tick several times. Return the monitor and the last findings.
+
+    Values that are functions get the number of the tick.
+    """
     monitor, found = monitor or monitor_at_20_newton(), {}
     for k in range(number):
         found = monitor.tick(resting_tick(**{name: v(k) if callable(v) else v for name, v in given.items()}))
@@ -77,7 +90,10 @@ def test_at_rest_nothing_is_reported():
 
 
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
-    """Filters start at the present values. Tension and force have not moved, so no reading needs to move."""
+    """The filters start at the values that are present when the hand is armed.
+
+    Tension and force have not changed since, so no reading must change.
+    """
     _, found = ticks(200, monitor_at_20_newton(wanted=N, followed=N, asked=N))
     assert found == {}
 
@@ -128,7 +144,7 @@ def unexplained(monitor: Monitor) -> list[float]:
 
 @pytest.mark.parametrize(("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)])
 def test_lasting_residual_is_a_fault(tension, residual):
-    """Of the residual, friction explains 3 N, and the tolerance of the torque constant a tenth of 20 N."""
+    """Friction explains 3 N of the residual. The tolerance of the torque constant explains a tenth of 20 N."""
     monitor, found = ticks(1200, tension=tension)
     assert unexplained(monitor) == pytest.approx([residual] * 2, abs=0.05)
     all_cells = {name: pytest.approx(residual, abs=0.05) for name in "ab"}
@@ -144,7 +160,10 @@ def test_missing_torque_is_a_fault(force, is_reported):
 
 @pytest.mark.parametrize(("rub", "is_reported"), [(5.8, False), (6.1, True)])
 def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
-    """After many seconds of motion, 3 N count in excess of the torque constant's tolerance, a tenth of 29 N."""
+    """After seconds of motion, a friction counts that exceeds the model by 3 N and a tenth of the force of 29 N.
+
+    The tenth is the tolerance of the torque constant.
+    """
     monitor = ticks(30)[0]
     monitor.set({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
     _, found = ticks(1, monitor, force=29.0, tension=29.0)
@@ -154,7 +173,7 @@ def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
 
 
 def test_a_noisy_encoder_is_detected():
-    """The mean squared jerk of a position that alternates by d in each tick is 16 d^2."""
+    """An encoder whose position alternates by d in each tick has a mean squared second difference of 16 d^2."""
     for size, expected in ((2.4e-3, {}), (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02)))):
         _, found = ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
         assert found.get("N07", {}) == expected
@@ -171,7 +190,10 @@ def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
 
 
 def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
-    """The moment arms of tendon a have a sum of 20 mm, so 3 deg are 1.05 mm. Without the filter, 15 deg are a fault."""
+    """The moment arms of tendon a have a sum of 20 mm, so an angle of 3 deg is 1.05 mm.
+
+    The limit of 15 deg applies to unfiltered readings.
+    """
 
     def slipped(deg):
         monitor, _ = ticks(100, excursion=0.0, read=True)
@@ -203,11 +225,11 @@ def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
 
 
 EVERY = 4
-"""Joints are read in every fourth tick, where a bus has no room for more."""
+"""Ticks from one reading of the joints to the next. A bus may have no room for more readings."""
 
 
 def run_sparse_joints(number: int, monitor: Monitor, **given: Any) -> list[Evidence]:
-    """Return the ticks of a hand whose joints are read in every fourth tick, and all reports."""
+    """Run ticks of a hand whose joints are read in every fourth tick, and return the findings of each tick."""
     reported = []
     for k in range(number):
         read = {"read": True} | given if k % EVERY == 0 else {n: v for n, v in given.items() if n == "travel"}
@@ -236,7 +258,7 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
 
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
-    """3 deg of 3.5 are reached after 0.3 s ln 7 = 0.58 s."""
+    """With a step to 3.5 deg, the filtered angle reaches 3 deg after 0.3 s ln 7 = 0.58 s."""
     for every in (1, EVERY):
         monitor = monitor_at_20_newton(make_monitor(joint_period=every * T))
         ticks(100, monitor, excursion=0.0, read=True)
@@ -265,12 +287,12 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
 
 
 def monitor_after_motion(monitor: Monitor | None = None, **given: Any) -> Monitor:
-    """Return a hand whose filters have settled and whose motors moved in the last tick."""
+    """Return the monitor of a hand whose filters have settled and whose motors moved in the last tick."""
     return ticks(1, ticks(150, monitor_at_20_newton(monitor), **given)[0], **{"travel": 1e-5} | given)[0]
 
 
 @pytest.mark.parametrize(("number", "goal", "is_reported"), [
-    (51, 0.51e-3, True), (50, 0.51e-3, False),      # 100 ms
+    (51, 0.51e-3, True), (50, 0.51e-3, False),      # 50 ticks are 100 ms
     (60, 0.49e-3, False), (60, -0.51e-3, True),
 ])  # fmt: skip
 def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, is_reported):
@@ -297,7 +319,10 @@ def test_constant_joint_reading_is_stuck_while_the_spool_turns():
 
 
 def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
-    """The spool winds slack. Joint and spool move together only after the tendon is taut."""
+    """While a tendon is slack, its spool turns without its joint.
+
+    They move together only after the tendon has become taut.
+    """
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
 
     def stuck(found: Evidence) -> list[str]:
@@ -322,7 +347,7 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, e
 
 
 def test_each_joint_is_checked_with_its_own_tendons():
-    """A slack tendon a has no effect on the check of joint b."""
+    """A slack tendon a does not change the check of joint b, which has tendon b."""
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
@@ -344,7 +369,10 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tensi
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
-    """The way of five ticks at once, in the tick behind the gap, or in the next one, whose answer is from behind it."""
+    """After a gap, one reading shows the motion of five ticks.
+
+    It comes in the first tick after the gap or, if its reply is late by a tick, in the second.
+    """
 
     def course(missed):
         monitor, at, speed, noisy = ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
@@ -365,7 +393,10 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
 def screen_positions(
     monitor: Monitor, motors: list[float], joints: list[float] | None, missed: int = 0
 ) -> tuple[Any, Any]:
-    """Process positions, with joints None if none was read. Return the size of each jump."""
+    """Screen positions of motors and joints, and return the size of each jump.
+
+    ``joints`` is None if none was read.
+    """
     read = {"joint_fresh": joints is not None, "joint_angle": joints or 0.0}
     monitor.observe({"answered": 1, "position": motors, "missed": missed, **read})
     return monitor.get("jump"), monitor.get("joint_jump")
@@ -400,7 +431,7 @@ def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
 
 
 def late(**ages: int) -> dict[str, Any]:
-    """Return rows of motors (ma=...) and load cells (a=...) whose replies have an age in ticks."""
+    """Return rows of the state with ages in ticks of the replies of motors (ma=...) and load cells (a=...)."""
     heard = {name: NOW_NS - ages.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
     return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}
 

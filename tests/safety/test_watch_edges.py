@@ -1,4 +1,4 @@
-"""State of the monitor exactly at the limits, to the last bit."""
+"""Test the state that the safety monitor keeps between ticks exactly at its limits, to the last bit."""
 
 import math
 from typing import Any
@@ -15,14 +15,14 @@ from tests.safety.monitor import Monitor, T, call_interpreted
 from tests.safety.test_watch import make_monitor, resting_tick
 
 SOFT = 5e3
-"""A tendon that stretches by four millimetres under 20 N [N/m]."""
+"""Stiffness of a tendon that stretches by 4 mm under 20 N [N/m]."""
 READ = {"excursion": 0.0, "joints": 0.0, "read": True}
-"""Joint encoders at zero."""
+"""Readings of joint encoders that are at zero."""
 
 
 @pytest.fixture
 def monitor() -> Monitor:
-    """Return a monitor of two tendons whose filtered tension and force a test sets."""
+    """Return the safety monitor of two tendons. A test sets their filtered tensions and forces."""
     monitor = make_monitor(SOFT)
     monitor.set_constants(residual_fraction=0.0)
     monitor.set({"filtered": 1, "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}})
@@ -35,7 +35,7 @@ def turned(monitor: Monitor, **given: Any) -> list[float]:
 
 
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None:
-    """The spool winds by the stretch of the tendon when the tension grows."""
+    """When the tension grows, the spool winds the stretch of the tendon. The joint does not move by this part."""
     np.testing.assert_allclose(turned(monitor, travel=20.0 / SOFT, **READ), 0.0, atol=1e-12)
     wound = turned(monitor, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ)
     np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
@@ -62,7 +62,10 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(monitor:
 
 
 def stuck_names(monitor: Monitor, before: int, value: float, away: dict[str, list[float]]) -> dict[str, list[str]]:
-    """Return the stuck sensors after one more equal reading, with given motion of the correlated signals."""
+    """Return the names of the stuck sensors after one more equal reading.
+
+    ``away`` is the motion of the signals that are correlated with their readings.
+    """
     zero = [0.0, 0.0]
     found = monitor.tick(
         resting_tick(tension=value, **READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
@@ -107,7 +110,7 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
 
 
 def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(monitor: Monitor) -> None:
-    """Run interpreted code, with excursions whose angle equals the limit to the last bit."""
+    """Interpreted code is called with excursions whose angles are within four bits of the limit."""
 
     def counted(apart: float) -> tuple[float, float]:
         monitor.set(resting_tick(**READ | {"tension": 0.0, "excursion": -apart}))

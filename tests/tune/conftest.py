@@ -1,4 +1,4 @@
-"""Models of hands with their designed gains, made once."""
+"""Fixtures with models of hands. A model and its designed gains are made once for all tests."""
 
 import pytest
 
@@ -9,11 +9,11 @@ from handctl.hand.load import load_hand
 
 @pytest.fixture(scope="session")
 def jamia() -> HandModel:
-    """Return the hand with one tendon per digit, at 500 Hz."""
+    """Return the model of ``jamia``, a hand with one tendon per digit, at 500 Hz."""
     return HandModel.of(load_hand("jamia"), Gains(), 500.0)
 
 
 @pytest.fixture(scope="session")
 def jamia11() -> HandModel:
-    """Return the hand with one tendon per joint, at 200 Hz."""
+    """Return the model of ``jamia11``, a hand with one tendon per joint, at 200 Hz."""
     return HandModel.of(load_hand("jamia11"), Gains(), 200.0)

@@ -1,4 +1,7 @@
-"""Contact in the sweeps of a digit: detected by its fit, and the affected parameters are not kept."""
+"""Test the detection of contact during the sweeps of a digit.
+
+The fit of the digit shows the contact, and affected parameters are not kept.
+"""
 
 from pathlib import Path
 
@@ -25,7 +28,7 @@ THUMB = "mount_position_m = [0.0, -0.025, 0.0]"
 
 
 def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
-    """Write a packaged hand whose thumb is mounted nearer to the middle finger; return its path."""
+    """Write the file of a packaged hand whose thumb is nearer to the middle finger, and return its path."""
     text = load_hand(hand).to_toml()
     assert THUMB in text
     path = folder / f"{hand}-{thumb_mm}.toml"
@@ -34,7 +37,7 @@ def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
 
 
 def identify_touching_finger(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, TendonResult]:
-    """Identify a middle finger that touches the thumb."""
+    """Return the identification results of a middle finger that touches the thumb in its sweeps."""
     path = with_near_thumb(hand, thumb_mm, folder)
     found, row = excite_and_fit(path, "middle", seed, {"spring": SPRING}, Gains(), folder)
     assert "failure" not in row
@@ -52,27 +55,30 @@ UNDISTURBED_SAMPLE = {("jamia", 5)}
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
 ) -> None:
-    """Regression: springs of 1.41 and 1.73 instead of 1.2 were accepted without a message."""
+    """Regression: spring parameters of 1.41 and 1.73 instead of 1.2 were accepted without a message."""
     found = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
     for one in found.values():
         assert one.contact or one.blocked
         assert not set(one.names) & set(SWEEP_PARAMETERS)
     real = truth(load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0))
-    for one in found.values():  # parameters that the contact does not affect are correct
+    for one in found.values():  # others stay correct
         for name in set(one.names) & {"torque_gain", "motor_inertia", "motor_coulomb", "tendon_stiffness"}:
             assert abs(one.fit.values[name] - real[name]) < 2.0 * one.fit.half_widths[name], name
 
 
 @pytest.mark.parametrize(("hand", "seed"), [one for one in UNDISTURBED if NIGHTLY or one in UNDISTURBED_SAMPLE])
 def test_parameters_of_a_digit_without_contact_are_kept(tmp_path: Path, hand: str, seed: int) -> None:
-    """Accept plants with parameters off by up to 30 %."""
+    """No contact is reported for simulated hands whose parameters differ by up to 30 % from the file."""
     found, row = excite_and_fit(hand, DIGITS[seed % 4], seed, draw_plant(seed), Gains(), tmp_path)
     assert "failure" not in row
     assert [(one.contact, one.blocked) for one in found.values() if one.contact or one.blocked] == []
 
 
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
-    """Only the controller reports an obstacle, because it uses the hand file's springs and detuned gains."""
+    """The controller knows only the springs of the hand file and has detuned gains.
+
+    The fit reports no contact all the same.
+    """
     found, row = excite_and_fit("jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path)
     assert "failure" not in row
     one = found["index_tendon"]
@@ -81,7 +87,10 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 
 
 def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> Ramp | None:
-    """Return the ramp that a straight line leaves unexplained, fitted to noise and a kink in two sweeps."""
+    """Return the ramp that a fitted straight line leaves unexplained.
+
+    The data are noise with a kink in two sweeps.
+    """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROWS)) * 0.6
     seen = random.normal(size=ROWS) + kink * np.maximum(0.0, angle - begin)

@@ -1,4 +1,4 @@
-"""Designs: they keep their margins on plants of the ensemble."""
+"""Test designs of gains. A design keeps its stability margins on all simulated hands of an ensemble."""
 
 import math
 
@@ -29,12 +29,12 @@ from tests.conftest import NIGHTLY
 MANY_PLANTS = 8
 """Number of plants of the default ensemble of `tune design`."""
 FEW_PLANTS = 2
-"""Number of plants for a hand with many different tendons, except in nightly runs."""
+"""Number of plants by day for a hand with many different tendons."""
 
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_the_packaged_gains_keep_their_margins(name: str) -> None:
-    """Motors of orca_like oscillated at 140 Hz, and t42 had 2.4 dB, with the gains of jamia."""
+    """Regression: with the gains of jamia, orca_like oscillated at 140 Hz, and t42 had a gain margin of 2.4 dB."""
     hand = load_hand(name)
     model = HandModel.of(hand, packaged_gains(name), control_rate(None, hand, bus_loads(hand)))
     count = MANY_PLANTS if len(distinct_tendons(model)) < 5 or NIGHTLY else FEW_PLANTS
@@ -43,7 +43,7 @@ def test_the_packaged_gains_keep_their_margins(name: str) -> None:
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
-    """The margins of a tendon limit the authority of this tendon only."""
+    """The margins of a tendon limit only the force weight of this tendon, not those of other tendons."""
     hand = load_hand("t42")
     left, right = hand.digit
     heavy = left.model_copy(update={"link_mass_kg": tuple(20.0 * mass for mass in left.link_mass_kg)})
@@ -57,7 +57,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     assert light.name == "right_flexor"
     assert light.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
     assert found.gains.motion.force_N < 0.5 * both.gains.motion.force_N
-    # Without separate forces both tendons have the force of the heavy digit.
+    # Without separate force weights, both tendons would have the weight of the heavy digit.
     shared = found.gains.model_copy(update={"tendon": ()})
     assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * found_stiffness(model, found.gains)
     same = model_with_gains(model, found.as_weights())
@@ -65,7 +65,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
 
 
 def found_stiffness(model: HandModel, gains: Gains) -> float:
-    """Return the stiffness of the second tendon's motion loop with other gains [1/s^2]."""
+    """Return the stiffness [1/s^2] of the second tendon's motion loop in a model with given gains."""
     return float(model_with_gains(model, gains).motion.stiffness[1])
 
 
@@ -94,7 +94,7 @@ def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("hz", [3.0, 6.0])
 def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) -> None:
-    """Rotor and digit as one mass under sampled state feedback, at a rate far above the poles."""
+    """Rotor and digit are one mass with sampled state feedback. The control rate is far above the poles."""
     gains = gains_with_poles(jamia, LoopKind.MOTION, hz, 1.0)
     fast = HandModel.of(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
@@ -115,7 +115,7 @@ def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) ->
 def test_placed_poles_that_no_weights_have_are_refused(
     jamia: HandModel, hz: tuple[float, float], damping: float, right: str
 ) -> None:
-    """The message states poles that have weights."""
+    """The message gives poles or a weight that would be possible."""
     with pytest.raises(ValueError, match=right):
         design_with_poles(jamia, (PlantFactors(),), *hz, damping)
 
@@ -131,7 +131,7 @@ def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
 
 
 def identification_of_tendon(stiffness: float, half: float) -> Identified:
-    """Return an identification of one tendon."""
+    """Return the identified stiffness of one tendon with the half width of its interval, and a delay."""
     return Identified(
         names=("tendon_stiffness", "delay"),
         values=(stiffness, 1e-3),

@@ -1,4 +1,4 @@
-"""Gains on disk: every change can be undone, and a reader never meets a part of a file."""
+"""Test gains on disk. Every change can be undone, and a reader never finds a partly written file."""
 
 import os
 from pathlib import Path

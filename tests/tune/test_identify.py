@@ -1,4 +1,4 @@
-"""Identification: parameters of hands that differ from their file."""
+"""Test the identification of hands whose parameters differ from their hand file."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +23,7 @@ from handctl.tune.identify.fit_motor import HALF_WINDOW_S, _cumulative, _window,
 from handctl.tune.identify.identifiability import _reason_not_identified
 
 SPRUNG = TOLERANCES.keys() - {"moment_arm", "pretension"}
-"""Parameters of digits that springs return."""
+"""Parameters that are identified for digits with return springs."""
 SEEDS = 100
 COVERED = 90
 
@@ -41,7 +41,10 @@ WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
 def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     tmp_path: Path, seed: int, digit: str
 ) -> None:
-    """A motor without 29 % of its torque is no wrong load cell. A motor with high friction still moves its tendon."""
+    """A motor that makes 29 % less torque is not taken for a wrong load cell.
+
+    A motor with high friction still moves its tendon.
+    """
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
     assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
@@ -52,7 +55,10 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 
 
 def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path: Path) -> None:
-    """At 200 Hz inertia and friction of a motor are less accurate, and their intervals show it."""
+    """At 200 Hz a motor's inertia and friction are identified less accurately.
+
+    The intervals of these parameters show this.
+    """
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
     assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
     assert [
@@ -84,7 +90,7 @@ def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
 
 
 def test_the_load_model_balances_every_joint() -> None:
-    """Check the balance of the joints with the computed tension."""
+    """With the tension that the load model computes, the torques of every joint are in balance."""
     digit = DigitModel.of(load_hand("jamia"), "index")
     load = DigitLoad.of(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
@@ -158,7 +164,10 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 
 
 def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
-    """The model and the middle of the ensemble are identified. The gains belong to the hand of the file."""
+    """The model and the middle of the ensemble have the identified parameters.
+
+    The gains belong to the hand of the file.
+    """
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(hand.tendon_names, TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0))
     made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
@@ -174,7 +183,10 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
 
 
 def test_delay_is_judged_by_an_absolute_limit() -> None:
-    """A delay of zero is identified by an absolute limit, not by a fraction of its value."""
+    """The interval of a delay is compared with an absolute limit, because a delay may be zero.
+
+    A fraction of zero is no limit.
+    """
     rows = np.ones((3, len(PARAMETER_NAMES)))
     assert _reason_not_identified(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"
     assert "50 % of the value" in _reason_not_identified(rows, "capstan")

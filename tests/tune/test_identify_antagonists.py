@@ -1,4 +1,7 @@
-"""Identification of digits that n + 1 tendons return, or spool pairs without load cells."""
+"""Test the identification of digits without springs.
+
+These digits have n + 1 tendons for n joints, or spool pairs without load cells.
+"""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,14 +25,14 @@ from handctl.tune.identify.identifiability import unobservable_parameters
 SEEDS = range(20)
 HANDS = ("n_plus_1", "orca_like")
 COVERED = 0.9
-"""Smallest fraction of all true values inside their intervals. The expected value is 0.95."""
+"""Smallest fraction of all true parameter values that lie inside their intervals. The expected fraction is 0.95."""
 COVERED_OF_EACH = 0.8
-"""Smallest fraction of the true values of a single parameter inside their intervals.
+"""Smallest fraction of the true values of a single parameter that lie inside their intervals.
 
-There are 40 to 70 values.
+A parameter has only 40 to 70 values in this test.
 """
 OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
-"""Parameters that every spool pair of the packaged hand shows."""
+"""Parameters that can be identified for every spool pair of the packaged hand."""
 
 
 @pytest.mark.parametrize(
@@ -96,7 +99,7 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> Non
 
 
 def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
-    """The tendons that open the digit make more torque at every joint than those that close it."""
+    """While a tendon is stretched, the opening torque is larger at every joint of its digit than the closing torque."""
     hand = load_hand("n_plus_1")
     for step in excitation(hand, hand.digit_names):
         if step.name == "stretch":
@@ -106,9 +109,9 @@ def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
 
 @pytest.mark.parametrize("passed", [0.8, 1.0, 1.25])
 def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
-    """Friction lowers one tension and raises the other.
+    """Friction lowers the tension of one tendon of the pair at the joint, and raises that of the other.
 
-    The difference of the tensions pulls the joint.
+    The difference of these tensions acts on the joint.
     """
     nets = np.linspace(-40.0, 40.0, 81)
     spool = tension_of_pair(nets, 10.0, np.full(81, passed))
@@ -117,14 +120,17 @@ def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
 
 
 def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
-    """Each tendon alone: p + k d, never below 0."""
+    """Each tendon of a pair has the tension p + k d, and never less than 0.
+
+    The net tension is the difference of both.
+    """
     stretch = stretch_of_pair(np.linspace(-50.0, 50.0, 101), 5e4, 10.0)
     single = [np.maximum(10.0 + 5e4 * side * stretch, 0.0) for side in (1.0, -1.0)]
     np.testing.assert_allclose(single[0] - single[1], np.linspace(-50.0, 50.0, 101), atol=1e-9)
 
 
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
-    """Regression: the time of the program stops during a fault, so that the run had no end."""
+    """Regression: the time of the program stops while a fault holds the hand, so such a run had no end."""
     limit = HoldLimit()
 
     def ticks(action: Action, begin_s: float, end_s: float) -> list[str]:

@@ -1,4 +1,4 @@
-"""Free motion in an ordinary log."""
+"""Test which parts of an ordinary log count as free motion."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
-    """Regression: tensions that press a digit on its stop made springs and friction a third too large."""
+    """Regression: data of digits on their stops made the identified springs and friction a third too large."""
     hand = load_hand("jamia")
     with RunLog(GRASP) as log:
         held = np.isnan(log.field("q_goal"))

@@ -1,4 +1,7 @@
-"""Linear loops predict the running code, and have the margins that `control` computes."""
+"""The linear models of the control loops predict the running code.
+
+They have the margins that the package `control` computes.
+"""
 
 import math
 
@@ -19,7 +22,7 @@ KINDS = list(LoopKind)
 def test_the_linear_controller_predicts_the_running_one(
     hand: str, kind: LoopKind, request: pytest.FixtureRequest
 ) -> None:
-    """Compare one tick from slightly different states and readings."""
+    """The linear model predicts one tick of the controller, from slightly different states and readings."""
     model: HandModel = request.getfixturevalue(hand)
     K = controller_system(model, 0, kind)
     tick, state, reading, steps = linear._operating_point(model, 0, kind)
@@ -35,7 +38,7 @@ def test_the_linear_controller_predicts_the_running_one(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: LoopKind) -> None:
-    """Compare the loop's impulse response with plant and controller stepped as the bus steps them."""
+    """The impulse response of the loop equals that of plant and controller, stepped in the order of the bus."""
     P, K, L = plant_system(jamia, 0, kind), controller_system(jamia, 0, kind), open_loop(jamia, 0, kind)
     p, state_of_controller, sample, state = P.B[:, 0], np.zeros(len(K.A)), np.zeros(3), L.B[:, 0]
     for k in range(1, 30):
@@ -60,13 +63,19 @@ def test_margins_are_those_of_control(hand: str, kind: LoopKind, request: pytest
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(jamia: HandModel, kind: LoopKind) -> None:
-    """Positive control: slightly more torque than the margin makes the loop unstable, slightly less does not."""
+    """A torque slightly above the gain margin makes the loop unstable.
+
+    A torque slightly below the margin does not.
+    """
     margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, kind)).gain_db / 20.0)
     assert margins_of_loop(open_loop(jamia, 0, kind, PlantFactors(torque_constant=0.97 * margin))).stable
     assert not margins_of_loop(open_loop(jamia, 0, kind, PlantFactors(torque_constant=1.03 * margin))).stable
 
 
 def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
-    """A held tension returns after a force step of 1 N. A blocked rotor without a controller keeps all of it."""
+    """A held tension returns to its goal after a force step of 1 N.
+
+    Without a controller, a blocked rotor would keep the whole step.
+    """
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

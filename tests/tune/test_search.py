@@ -1,4 +1,4 @@
-"""Search: the same result with all workers, no lost trials, and a resumed study."""
+"""Test the search for gains. All workers give the same result, no trial is lost, and a study can be resumed."""
 
 import os
 import signal
@@ -32,7 +32,7 @@ TRIALS = 3
 
 @pytest.fixture(scope="session")
 def plan() -> SearchPlan:
-    """Return a plan with few trials on the nominal plant."""
+    """Return the plan of a search with few trials on the nominal plant."""
     return SearchPlan(load_hand("jamia").to_toml(), 500.0, Gains(), draw_ensemble(1, 0), seed=5, trials=TRIALS)
 
 
@@ -42,7 +42,7 @@ def _nothing(found: SearchResult) -> None:
 
 @pytest.fixture(scope="session")
 def found(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
-    """Return the result of a search in this process."""
+    """Return the result of a search that runs in this process."""
     return run_search(plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _nothing)
 
 
@@ -59,7 +59,7 @@ def test_search_result_does_not_depend_on_the_processes(plan: SearchPlan, found:
 def test_the_sampler_knows_which_trials_keep_their_margins(
     plan: SearchPlan, found: SearchResult, tmp_path: Path
 ) -> None:
-    """Random trials have constraints as well, and Optuna raises no warning."""
+    """The sampler gets the margins of random trials too as constraints. Optuna warns of nothing."""
     run_search(plan, tmp_path / "study", RecordedWorkers(found), _nothing)
     finished = [one for one in _open_study(plan, tmp_path / "study").trials if one.state.is_finished()]
     assert [one.constraints for one in finished] == [{"margins": one.score.shortfall} for one in found.trials]
@@ -69,7 +69,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
 
 
 class RecordedWorkers:
-    """Workers that return known scores."""
+    """Workers that return the scores of an earlier search."""
 
     def __init__(self, found: SearchResult) -> None:
         self.found = found
@@ -83,7 +83,7 @@ class RecordedWorkers:
 
 
 class InterruptedWorkers:
-    """Workers that are interrupted after some jobs, as by Ctrl-C."""
+    """Workers that raise KeyboardInterrupt after some jobs, as after Ctrl-C."""
 
     def __init__(self, jobs: int) -> None:
         self.left = jobs
@@ -125,7 +125,7 @@ class FakeWorkers:
 
 @pytest.fixture(scope="module")
 def long_search(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> tuple[SearchPlan, SearchResult, bytes]:
-    """Return a search beyond the random batches, its result and its journal."""
+    """Return the plan of a search with more than random batches, its result, and the bytes of its journal."""
     longer = replace(plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),))
     path = tmp_path_factory.mktemp("study") / "whole"
     return longer, run_search(longer, path, FakeWorkers(), _nothing), path.read_bytes()
@@ -135,7 +135,7 @@ def long_search(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> t
 def test_search_resumes_from_a_truncated_journal(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
 ) -> None:
-    """Cut the journal also while a batch is being asked, and in the middle of a line."""
+    """The journal is cut in the middle of a line. Some cuts are at a time at which the sampler chooses a batch."""
     longer, found, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
     line_count = int(fraction * len(lines))
@@ -204,7 +204,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(plan: SearchPlan, found: Se
 
 def test_two_searches_do_not_share_a_journal(plan: SearchPlan, tmp_path: Path) -> None:
     class Meanwhile(InProcessWorkers):
-        """Another search begins while this one computes."""
+        """Workers during whose jobs another search with the same journal begins."""
 
         def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
             with pytest.raises(ConfigError, match="another search uses it"):

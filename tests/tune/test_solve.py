@@ -1,4 +1,4 @@
-"""Jackknife over blocks of time, also for a damaged log with all its rows in one block."""
+"""Test the jackknife over blocks of time, also for a damaged log whose rows are all in one block."""
 
 import time
 
@@ -20,7 +20,7 @@ def test_rows_are_in_one_block_each(seed: int) -> None:
 
 @pytest.mark.parametrize("span", [0.0, 0.1, 20.0])
 def test_equal_times_take_a_few_seconds_at_most(span: float) -> None:
-    """Regression: 4000 rows in one block required minutes."""
+    """Regression: the jackknife took minutes for 4000 rows in one block."""
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
     begin = time.process_time()
@@ -32,7 +32,10 @@ def test_equal_times_take_a_few_seconds_at_most(span: float) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -> None:
-    """Regression: one block with a large residual left three degrees of freedom and intervals 1.5 times as wide."""
+    """A block with large residuals does not reduce the degrees of freedom.
+
+    Regression: it left three of them, and intervals 1.5 times as wide.
+    """
     random = np.random.default_rng(seed)
     jacobian, times = random.normal(size=(2000, 3)), np.linspace(0.0, 20.0 * BLOCK_S, 2000, endpoint=False)
     residual = random.normal(size=2000)
@@ -45,7 +48,10 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
 
 
 def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
-    """Regression: a run in which a digit hardly moved ended with an overflow warning."""
+    """A parameter without data keeps the spread of its prior.
+
+    Regression: a digit that hardly moved caused an overflow warning.
+    """
     jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
     with np.errstate(all="raise", under="ignore"):
         covariance, freedom = _covariance(jacobian, np.ones(102), np.linspace(0.0, 5.0, 100))

@@ -1,4 +1,4 @@
-"""Stability of designs: by eigenvalues, by a brute-force reference of the margins, and in lockstep."""
+"""Test that designed gains are stable: by eigenvalues, by margins that are found by trial, and in lockstep."""
 
 import math
 from functools import cache
@@ -19,14 +19,17 @@ from tests.conftest import NIGHTLY
 HANDS = packaged_hands()
 SEEDS = range(20) if NIGHTLY else range(2)
 QUICK = tuple(name for name in HANDS if NIGHTLY or name != "orca_like")
-"""A rest test of 17 joints takes more than five minutes."""
+"""Packaged hands whose rest test is quick enough for the day. That of 17 joints takes more than five minutes."""
 RATES = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42": 500.0}
 SATURATED = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
-"""Weights with 390 N of authority command more torque than the motor has at the operating point."""
+"""Tension weights.
+
+With a force weight of 390 N they command more torque than the motor has at the operating point.
+"""
 
 
 def random_gains(seed: int, wide: float = 10.0) -> Gains:
-    """Return weights, integral and filter off by up to a factor, up or down."""
+    """Return gains whose weights, integral and filter are larger or smaller than usual by up to the factor ``wide``."""
     random = np.random.default_rng(seed)
 
     def off(value: float) -> float:
@@ -52,16 +55,16 @@ def model_of(hand: str, seed: int, wide: float = 10.0) -> HandModel:
 
 
 def with_force(force: float) -> HandModel:
-    """Return jamia's model with the saturating weights and an authority [N]."""
+    """Return the model of jamia with the tension weights ``SATURATED`` and a force weight [N]."""
     table = SATURATED | {"tension": SATURATED["tension"] | {"force_N": force}}
     return HandModel.of(load_hand("jamia"), Gains.model_validate(table), 500.0)
 
 
 @pytest.mark.parametrize("force", [5.0, 50.0, 150.0, 393.0])
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
-    """A saturated control law has no slope.
+    """At its limit, the control law has no slope with respect to its inputs.
 
-    The matrices are computed from the gains, even from large gains.
+    The matrices of the linear model are therefore computed from the gains, even if these are large.
     """
     model = with_force(force)
     K = controller_system(model, 0, LoopKind.TENSION)
@@ -69,7 +72,7 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
     assert per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
-    assert len(integral) >= 1  # the integral acts with gain 1, unless the force is at its limit
+    assert len(integral) >= 1  # the gain of the integral if nothing saturates
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).are_sufficient
 
 
@@ -94,7 +97,10 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
 
 
 def brute_force(system: System) -> tuple[float, float]:
-    """Return gain [dB] and phase [deg] at which an eigenvalue first leaves the unit circle, by trial."""
+    """Find the gain margin [dB] and the phase margin [deg] of a loop by trial.
+
+    At a margin, an eigenvalue of the closed loop first leaves the unit circle.
+    """
 
     def radius(factor: complex) -> float:
         return float(np.abs(np.linalg.eigvals(system.A - factor * (system.B @ system.C))).max())
@@ -108,7 +114,10 @@ def brute_force(system: System) -> tuple[float, float]:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("hand", HANDS)
 def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
-    """A margin is never too large, and smaller only where frequencies and eigenvalues disagree."""
+    """The computed margins are never too large.
+
+    They are smaller only if frequency response and eigenvalues disagree.
+    """
     model = model_of(hand, seed)
     for kind in LoopKind:
         system = open_loop(model, 0, kind)
@@ -123,7 +132,7 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
 
 
 def judged_stable(model: HandModel, found: Design, seed: int) -> HandModel:
-    """Return the designed model after a check that all its loops are stable on both plants."""
+    """Check that all loops of a design are stable on both plants, and return the designed model."""
     after = HandModel.of(model.hand, found.gains, 1.0 / model.period)
     for factors in draw_ensemble(2, seed):
         for i in distinct_tendons(after):
@@ -133,7 +142,7 @@ def judged_stable(model: HandModel, found: Design, seed: int) -> HandModel:
 
 @pytest.mark.parametrize("seed", SEEDS if NIGHTLY else SEEDS[:1])
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
-    """Check only the design, without the rest test in simulation."""
+    """The design is stable by its eigenvalues alone. The rest test in simulation is left out here."""
     model = model_of("jamia", seed, 3.0)
     found = design_gains(model, tuple(linear_factors(one) for one in draw_ensemble(2, seed)))
     judged_stable(model, found, seed)
@@ -143,13 +152,13 @@ def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand", HANDS)
 def test_written_design_is_stable(hand: str, seed: int) -> None:
-    """Check eigenvalues and a step in lockstep of every loop, on the plant of the design and on another."""
+    """Eigenvalues and the rest test in simulation show stability, also with another seed than that of the design."""
     model, factors = model_of(hand, seed, 3.0), draw_ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
     try:
         found = design_gains(model, plants, RestTest(model.hand, factors, plants, seed))
     except ValueError:
-        return  # no design is written
+        return  # then no design is written
     after = judged_stable(model, found, seed)
     assert RestTest(model.hand, factors, plants, seed + 100)(after)
 
@@ -160,7 +169,7 @@ def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
 
 
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
-    """Positive control of the rest test, with gains that an earlier version wrote with infinite margins."""
+    """The rest test finds unstable gains. An earlier version wrote such gains and claimed infinite margins."""
     model = with_force(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
     assert not simulate_swing(model.hand, model, {}, 0).at_rest
@@ -173,7 +182,7 @@ def rest_test_of(model: HandModel) -> RestTest:
 
 
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
-    """Regression: a digit without load cells that closed with 30 N ended every step test with T01."""
+    """Regression: a digit without load cells that closed with 30 N ended every step test with the fault T01."""
     model = HandModel.of(load_hand("orca_like"), Gains(), RATES["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
     assert swing.failure == ""
@@ -182,7 +191,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
 
 @pytest.mark.parametrize("hand", QUICK)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
-    """Chatter of the plant without feedback does not count as the loop's."""
+    """An oscillation that the plant has without feedback does not count as one of the control loop."""
     model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
     proof = rest_test_of(model)
     assert proof(model), proof.reason
@@ -195,7 +204,7 @@ def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: 
 def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
 ) -> None:
-    """All other plants come to rest."""
+    """The gains are refused although all other plants come to rest."""
     model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
 
     def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
@@ -212,7 +221,10 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
 def rest_test_with(
     monkeypatch: pytest.MonkeyPatch, model: HandModel, chatter: tuple[float, ...], found: tuple[float, ...]
 ) -> RestTest:
-    """Return a rest test on plants with given chatter and given swings of the gains [N]."""
+    """Return a rest test with invented oscillations of each tendon [N].
+
+    ``chatter`` is that of the plant without feedback, ``found`` that with the gains.
+    """
 
     def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
         is_least_friction = factors == {"friction": 0.5}
@@ -224,7 +236,10 @@ def rest_test_with(
 
 
 def test_chatter_of_a_tendon_does_not_hide_swings_of_others(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
-    """Jamia's index and ring chatter by 2 to 5 N with little friction, middle and thumb by less than 0.1 N."""
+    """With little friction and no feedback, two digits of jamia oscillate.
+
+    Index and ring oscillate by 2 to 5 N, middle and thumb by less than 0.1 N.
+    """
     chatter = (4.1, 0.0, 3.9, 0.0)
     assert rest_test_with(monkeypatch, jamia, chatter, (5.0, 0.1, 4.4, 0.1))(jamia)
     proof = rest_test_with(monkeypatch, jamia, chatter, (4.1, 3.9, 3.9, 3.9))
@@ -233,7 +248,10 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(monkeypatch: pytest.
 
 
 def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
-    """The swing is no larger than the swing of the plant, but the eigenvalues oscillate at this tension."""
+    """The oscillation is no larger than that of the plant without feedback.
+
+    The eigenvalues show that the loop oscillates.
+    """
     chatter = (4.0, 4.0, 4.0, 4.0)
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
     ringing = HandModel.of(jamia.hand, Gains.model_validate(slow), 500.0)
@@ -247,7 +265,7 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.Monkey
 
 
 def test_gains_that_fail_at_the_least_friction_are_refused(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
-    """If the run without feedback fails as well, the swing of the plant is unknown."""
+    """If the run without feedback fails too, the oscillation of the plant is unknown, and the gains are refused."""
     lost = Swing(math.inf, math.inf, (math.inf,) * 4, "N14b")
     still = Swing(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
@@ -263,7 +281,7 @@ COUPLED = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,)
 
 @pytest.mark.parametrize("column", COUPLED)
 def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(column: tuple[tuple[float], ...]) -> None:
-    """The joints agree with the coupling, inside their ranges."""
+    """The joint angles of the posture obey the coupling of the digit and are inside their ranges."""
     hand = load_hand("jamia")
     content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}
     content["digit"][0]["coupling"] = [list(row) for row in column]

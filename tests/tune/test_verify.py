@@ -1,4 +1,4 @@
-"""Verification: gains that oscillate are reverted during the run, and the log contains it."""
+"""Test the verification of gains. Gains that oscillate are reverted during the run, and the log shows this."""
 
 from pathlib import Path
 

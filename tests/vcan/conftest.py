@@ -1,7 +1,8 @@
-"""Run the tests in inside/ beside real vcan interfaces, in three guests, and report each as if it had run here.
+"""Run the tests in inside/ with real vcan interfaces in three guests, and report each test as if it had run here.
 
-In the guest this file writes every report of pytest as data into the file named by
-HANDCTL_VCAN_REPORTS. With HANDCTL_REQUIRE_VCAN=1 a skipped test counts as failed.
+A guest is a virtual machine with user-mode Linux, or a network namespace. In the guest this file
+writes each report of pytest to the file that HANDCTL_VCAN_REPORTS names. With
+HANDCTL_REQUIRE_VCAN=1 a skipped test counts as failed.
 """
 
 import json
@@ -25,10 +26,10 @@ GUEST_FILES = (
     ("test_run.py", "test_drive.py", "test_bus_doctor.py"),
     ("test_protocols.py", "test_foreign_clients.py", "test_python_can.py"),
 )
-"""Test files of two guests. All other files run in a third guest.
+"""Test files that two of the guests run. All other files run in a third guest.
 
-The groups end at about the same time. A guest has one core and uses less than half of its time,
-because hands run in slowed time.
+The three groups take about the same time. A guest has one core and uses less than half of the
+core's time, because hands run in slowed time.
 """
 Reports = dict[str, list[pytest.TestReport]]
 _reports = pytest.StashKey[Reports]()
@@ -40,7 +41,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     if item.path.is_relative_to(INSIDE):
         item.add_marker("vcan")
         if not REPORTS_FILE:
-            item.add_marker(pytest.mark.timeout(0), append=False)  # the first test waits for the whole guest
+            item.add_marker(pytest.mark.timeout(0), append=False)  # the first test waits for all of its guest
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -69,7 +70,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
 
 def _run_inside(items: Sequence[pytest.Item]) -> Reports:
-    """Run all these tests, each in the guest of its file."""
+    """Run tests, each in the guest that runs its file, and return their reports."""
     kind, reason = uml.vcan_access()
     if not kind:
         return {item.nodeid: [_report(item, "skipped", (str(item.path), 0, reason))] for item in items}
@@ -84,7 +85,7 @@ def _run_inside(items: Sequence[pytest.Item]) -> Reports:
 
 
 def _run_in_guest(items: Sequence[pytest.Item]) -> Reports:
-    """Run tests in one guest. A test without a report has failed."""
+    """Run tests in one guest, and return their reports. A test without a report counts as failed."""
     output: list[str] = []
     with tempfile.TemporaryDirectory(prefix="handctl-vcan-reports-") as folder:
         file = Path(folder) / "reports"
@@ -108,7 +109,7 @@ def _read(lines: Sequence[str], config: pytest.Config) -> Reports:
     for line in lines:
         report = config.hook.pytest_report_from_serializable(config=config, data=json.loads(line))
         if report.skipped and isinstance(report.longrepr, list):
-            report.longrepr = tuple(report.longrepr)  # JSON has no tuple, the summary of pytest no list
+            report.longrepr = tuple(report.longrepr)  # JSON has no tuple, and pytest's summary takes no list
         reports[report.nodeid].append(report)
     return reports
 

@@ -1,4 +1,4 @@
-"""The runner: every end of a command is returned as a status, and no process remains."""
+"""Test the runner of guests. It returns the status with which a command ends in any way, and no process remains."""
 
 import contextlib
 import os
@@ -19,7 +19,7 @@ def _possible() -> None:
 
 
 def processes_of(folder: str) -> list[int]:
-    """Return the processes whose command lines name a folder, which belong to a running guest."""
+    """Return the processes whose command lines name a folder. They belong to a running guest."""
     pids = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
@@ -30,7 +30,7 @@ def processes_of(folder: str) -> list[int]:
 
 @pytest.mark.parametrize("end", ["exit 7", "kill -SEGV $$"])
 def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end: str) -> None:
-    monkeypatch.setattr(uml, "INTERFACES", "true\n")  # pretend that interfaces exist, without a namespace
+    monkeypatch.setattr(uml, "INTERFACES", "true\n")  # as if the kernel had vcan
     monkeypatch.setattr(uml, "_namespace", lambda: ["env"])
     output: list[str] = []
     status = uml.run(["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, report_line=output.append)
@@ -70,7 +70,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
     assert uml.run(["true"]) == 0
     started_s = time.monotonic() - start_s
     with tempfile.TemporaryDirectory() as folder:
-        monkeypatch.setattr(tempfile, "tempdir", folder)  # distinguishes the processes of this run from others
+        monkeypatch.setattr(tempfile, "tempdir", folder)  # marks the processes of this run
         script = "echo started; sleep 1000"
         status = uml.run(["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, report_line=record_line)
         assert status == uml.TIMED_OUT
@@ -78,7 +78,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
         if uml.vcan_access()[0] == "uml":
             assert {len(allowed) for allowed in cores} == {1}, "kernel and program of a guest use one core"
         end = time.monotonic() + 20.0
-        while processes_of(folder) and time.monotonic() < end:  # killed processes disappear after a moment
+        while processes_of(folder) and time.monotonic() < end:  # killed ones disappear later
             time.sleep(0.1)
         assert not processes_of(folder)
         assert not list(Path(folder).iterdir())

@@ -1,8 +1,8 @@
-"""Run a command beside real SocketCAN interfaces vcan0 and vcan1: ``python tests/vcan/uml.py -- COMMAND...``.
+"""Run a command where the SocketCAN interfaces vcan0 and vcan1 exist: ``python tests/vcan/uml.py -- COMMAND...``.
 
-With vcan in the kernel the command runs in a network namespace. Otherwise it runs in a guest of
-user-mode Linux (Debian's package user-mode-linux), which needs no rights. In the guest only
-/dev/shm is not on the host's disk.
+If the kernel has vcan, the command runs in a network namespace. Otherwise it runs in a guest of
+user-mode Linux (Debian package user-mode-linux), which needs no special rights. All files of the
+guest are on the disk of the host, except those in /dev/shm.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 TIMED_OUT, NO_STATUS, NO_VCAN = 124, 125, 126
-"""Exit status of a run that could not start."""
+"""Exit statuses of a run that took too long, that ended without a status, and that had no vcan."""
 PACKAGES = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod"}
 SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 MODULES = Path("/usr/lib/uml/modules")
@@ -40,7 +40,7 @@ ip link set lo up
 
 
 def vcan_access() -> tuple[str, str]:
-    """Return the way to vcan on this machine ("native", "uml" or ""), and the reason if there is none."""
+    """Return how this machine gets vcan: "native", "uml", or "" with the reason why it has none."""
     if shutil.which("unshare") is not None:
         trial = subprocess.run([*_namespace(), "bash", "-c", INTERFACES], capture_output=True, check=False, env=_env())
         if trial.returncode == 0:
@@ -59,16 +59,15 @@ def run(
     timeout_s: float = 300.0,
     report_line: Callable[[str], None] = print,
 ) -> int:
-    """Run a command beside vcan0 and vcan1 in this folder and environment.
+    """Run a command with the interfaces vcan0 and vcan1, in this folder and with this environment.
 
     Args:
-        command: program and arguments.
-        extra_env: variables in addition to this process's.
+        command: program and its arguments.
+        extra_env: environment variables in addition to those of this process.
         timeout_s: time after which the whole guest is killed [s].
-        report_line: called with each line of the command's output.
+        report_line: function that is called with each line of the command's output.
 
-    Returns:
-        The command's exit status, or TIMED_OUT, NO_STATUS or NO_VCAN without one.
+    Returns: The exit status of the command. Without one: TIMED_OUT, NO_STATUS or NO_VCAN.
     """
     kind, reason = vcan_access()
     if not kind:
@@ -94,7 +93,7 @@ def _job(command: Sequence[str], environment: Mapping[str, str]) -> str:
 
 
 def _env() -> dict[str, str]:
-    """Return this process's environment, with the system's programs in PATH also for an ordinary user."""
+    """Return the environment of this process. Its PATH contains the system programs, even for an ordinary user."""
     return {**os.environ, "PATH": f"{os.environ.get('PATH', '')}:{SYSTEM_PATH}"}
 
 
@@ -114,7 +113,7 @@ def _native(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> 
         for line in _lines(process, time.monotonic() + timeout_s):
             report_line(line)
         status = process.wait(timeout=10)
-        return status if status >= 0 else 128 - status  # a shell reports a signal in this way
+        return status if status >= 0 else 128 - status  # as a shell reports a signal
     except TimeoutError:
         return TIMED_OUT
     finally:
@@ -140,11 +139,11 @@ def _guest(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> i
 
 @contextlib.contextmanager
 def _on_one_core() -> Iterator[None]:
-    """Keep the children of this thread on one core. The next guest gets the next core.
+    """Keep the child processes of this thread on one core. The guest after it gets the next core.
 
-    In a guest, the kernel and a program run in turn as processes of the host. Waking a process on
-    another core costs five times as much: with both on one core, a system call took 20 us instead
-    of 100.
+    The kernel and a program of a guest run in turn as two processes of the host. It takes five
+    times as long to wake a process on another core. With both on one core, a system call took 20 us
+    instead of 100 us.
     """
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[next(_guests) % len(cores)]})
@@ -165,7 +164,10 @@ def _guest_command(job: Path) -> list[str]:
 
 
 def _with_all_registers(job: Path) -> list[str]:
-    """Return the command prefix for a processor with AMX, whose registers the guest does not save without help."""
+    """Return the prefix of the guest's command.
+
+    A processor with AMX needs one, because the guest does not save its registers.
+    """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(encoding="utf-8").split() or not shutil.which("gcc"):
         return []
     library = job / "xstate.so"
@@ -175,7 +177,10 @@ def _with_all_registers(job: Path) -> list[str]:
 
 
 def _memory_folder() -> str:
-    """Return the folder for the file of the guest's memory. Containers often have a /dev/shm of 64 MB."""
+    """Return the folder for the file that holds the guest's memory.
+
+    The /dev/shm of a container often has only 64 MB.
+    """
     shared = Path("/dev/shm")
     large_enough = shared.is_dir() and shutil.disk_usage(shared).free > MEMORY_BYTES
     return str(shared) if large_enough and not os.statvfs(shared).f_flag & os.ST_NOEXEC else tempfile.gettempdir()
@@ -193,7 +198,7 @@ def _start(command: list[str], environment: dict[str, str]) -> "subprocess.Popen
 
 
 def _kill_group(process: "subprocess.Popen[bytes]") -> None:
-    """Kill every process of the run. User-mode Linux has one on the host for each address space of the guest."""
+    """Kill every process of a run. User-mode Linux has a process on the host for each address space of the guest."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -214,10 +219,9 @@ def _lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterator[st
 
 
 def _report_job(lines: Iterator[str], job: Path, report_line: Callable[[str], None]) -> list[str]:
-    """Report the output of the job.
+    """Report the lines that the job in a guest prints.
 
-    Returns:
-        Lines before and after the job, from the kernel and from init.
+    Returns: The lines before and after those of the job. They are from the kernel and from init.
     """
     other_lines: list[str] = []
     started = False

@@ -1,4 +1,4 @@
-"""Runs for the viewer, and a check for drawing on this machine."""
+"""Fixtures with logs for the viewer, and with a check that this machine can draw."""
 
 import os
 import sys
@@ -19,7 +19,10 @@ SECONDS = 3.0
 
 @pytest.fixture(scope="session", params=["jamia", "jamia11"])
 def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a run of each packaged hand with a start date."""
+    """Write the log of a synthetic run with a start date, and return its path.
+
+    A test with it runs once per packaged hand.
+    """
     import synthetic
 
     path = tmp_path_factory.mktemp("view") / f"{request.param}.mcap"
@@ -29,7 +32,7 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture(scope="session")
 def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a run of the hand as built."""
+    """Write the log of a synthetic run of the hand jamia, and return its path."""
     import synthetic
 
     path = tmp_path_factory.mktemp("view") / "run.mcap"
@@ -39,7 +42,7 @@ def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def rrd(log_path: Path) -> Path:
-    """Return the recording of `log_path`."""
+    """Return the path of the Rerun recording of `log_path`."""
     from rrd_entities import run_info_of
 
     out = log_path.with_suffix(".rrd")
@@ -49,7 +52,10 @@ def rrd(log_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def vulkan() -> dict[str, str]:
-    """Return the environment for drawing. Without a driver skip, or fail where a driver is required."""
+    """Return the environment variables of a process that draws pictures.
+
+    Without a driver the test is skipped, or fails where a driver is required.
+    """
     try:
         return software_vulkan()
     except ConfigError as error:

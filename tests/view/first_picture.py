@@ -1,7 +1,8 @@
-"""Time of `handctl view LOG` to its first picture: `python tests/view/first_picture.py LOG`.
+"""Measure the time of `handctl view LOG` to its first picture: `python tests/view/first_picture.py LOG`.
 
-The time runs from the start of the process to a drawn picture with data, on a viewer without a screen. Prints JSON:
-seconds, and the processor time of handctl and viewer until then.
+The time runs from the start of the process to a drawn picture with data, in a viewer without a
+screen. The program prints JSON with this time and with the processor times of handctl and of the
+viewer until then.
 """
 
 import json
@@ -18,8 +19,8 @@ SIZE = "1600x900"
 
 
 def main() -> None:
-    """Open a log as the verb does, and end with the first picture."""
-    os.environ.setdefault("RUST_LOG", "error")  # handctl view sets this as well
+    """Open a log as the command does, and end after the first picture."""
+    os.environ.setdefault("RUST_LOG", "error")  # as handctl view does
     from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
     from handctl.view.browse import browse_log
@@ -35,7 +36,10 @@ def main() -> None:
 
 
 def _look(seen: threading.Event) -> None:
-    """Wait for the viewer of this process and its data, save and report the picture, and close the viewer."""
+    """Wait for the viewer of this process and for its data.
+
+    Then save a picture, report the times, and close the viewer.
+    """
     viewer = _viewer()
     client = _client(viewer)
     while not _has_data(client):
@@ -51,7 +55,7 @@ def _look(seen: threading.Event) -> None:
 def _viewer() -> psutil.Process:
     while True:
         for child in psutil.Process().children():
-            with suppress(psutil.Error):  # the process has ended meanwhile
+            with suppress(psutil.Error):  # a process that has ended
                 if "--headless" in child.cmdline():
                     return child
         time.sleep(0.01)

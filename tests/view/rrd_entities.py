@@ -1,4 +1,4 @@
-"""Reader of Rerun recordings into arrays."""
+"""Read Rerun recordings into arrays."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,12 +14,12 @@ from handctl.view.scene.run_info import RunInfo
 
 
 class Entity(NamedTuple):
-    """Rows of one entity.
+    """Rows of one entity of a Rerun recording.
 
     Attributes:
         times: run time of each row [ns], empty for a static entity.
-        rows: component -> value of each row.
-        static: component -> value for all times.
+        rows: value in each row, by the name of the component.
+        static: value that holds at all times, by the name of the component.
     """
 
     times: NDArray[np.int64]
@@ -27,12 +27,12 @@ class Entity(NamedTuple):
     static: dict[str, Any]
 
     def table(self, component: str) -> NDArray[np.float64]:
-        """Return a component (rows, instances)."""
+        """Return the values of a component (rows, instances)."""
         return np.array(self.rows[component], float)
 
 
 def entities(chunks: Iterable[Chunk]) -> dict[str, Entity]:
-    """Return all entities of the chunks, with rows in the order of time."""
+    """Return all entities in chunks of a recording, with their rows in the order of time."""
     entities_by_path: dict[str, Entity] = {}
     for chunk in chunks:
         entity = entities_by_path.setdefault(chunk.entity_path, Entity(np.empty(0, np.int64), {}, {}))
@@ -59,11 +59,11 @@ def _sorted(entity: Entity) -> Entity:
 
 
 def of_file(path: Path) -> dict[str, Entity]:
-    """Return all entities of a recording."""
+    """Return all entities in the file of a recording."""
     return entities(RrdReader(path).stream())
 
 
 def run_info_of(path: Path) -> RunInfo:
-    """Return run and hand of a log."""
+    """Return the description of the run and the hand of a log, as the viewer takes it."""
     with RunLog(path) as log:
         return RunInfo.of(log.header, path.stem)

@@ -1,4 +1,4 @@
-"""A log in a separate viewer: the first part arrives first, and finally the whole log."""
+"""Test a log in a separate viewer. The beginning of the log arrives first, and in the end the whole log."""
 
 import itertools
 import json
@@ -62,7 +62,7 @@ def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.
 
 
 def write_ten_minute_log(path: Path) -> None:
-    """Write a log of ten minutes at 500 Hz that repeats five seconds."""
+    """Write a log of ten minutes at 500 Hz, in which the same five seconds repeat."""
     import synthetic
 
     run = synthetic.header(rate_hz=500)
@@ -80,7 +80,7 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
     write_ten_minute_log(tmp_path / "ten.mcap")
     command = [sys.executable, str(Path(__file__).with_name("first_picture.py")), str(tmp_path / "ten.mcap")]
     looks = []
-    for _ in range(3):  # the first run compiles its imports while the log is still written
+    for _ in range(3):  # the first run is slow
         ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
         looks.append(json.loads(ran.stdout))
     assert all(one["png_bytes"] > 50_000 for one in looks)
@@ -110,7 +110,10 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
 
 
 def command(child: psutil.Process) -> list[str]:
-    """Return the command of a running child. Other tests may leave children that have ended."""
+    """Return the command line of a child process.
+
+    It is empty for a child that has ended, which other tests may leave.
+    """
     try:
         return child.cmdline()
     except (psutil.NoSuchProcess, psutil.ZombieProcess):

@@ -1,4 +1,4 @@
-"""`handctl view` as a user calls it: files, and messages about refusals."""
+"""Test `handctl view` with the command lines of a user: its files, and its messages when it refuses its input."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from handctl.view.picture_time import picture_time
 
 
 def line(capsys: pytest.CaptureFixture[str]) -> str:
-    """Return the only line of an error."""
+    """Return the only error line that a command has printed."""
     output = capsys.readouterr()
     assert output.out == ""
     (line_of_error,) = output.err.splitlines()

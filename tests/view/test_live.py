@@ -1,4 +1,4 @@
-"""Live view: a process beside the controller that shows the growing log."""
+"""Test the live view. A process beside the controller shows the growing log."""
 
 import subprocess
 import sys
@@ -24,11 +24,11 @@ WAIT_S = 40.0
 
 
 def url_of(follower: "subprocess.Popen[bytes]") -> str:
-    """Return the address of a follower's viewer."""
+    """Return the address of the viewer that a follower process has started."""
     end = time.monotonic() + WAIT_S
     while time.monotonic() < end:
         assert follower.poll() is None, f"the follower ended with {follower.returncode}"
-        with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child that has ended meanwhile
+        with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child may have ended
             for child in psutil.Process(follower.pid).children():
                 for one in child.net_connections():
                     if one.status == psutil.CONN_LISTEN:
@@ -38,7 +38,7 @@ def url_of(follower: "subprocess.Popen[bytes]") -> str:
 
 
 def shown_until(client: "ViewerClient") -> int:
-    """Return the last run time that has arrived [ns]."""
+    """Return the latest run time of the data that the viewer has received [ns]."""
     return timeline_end(client.get_state(), TIMELINE)
 
 

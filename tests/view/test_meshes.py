@@ -1,4 +1,4 @@
-"""Meshes in a recording: at the link, with pose, scale and colour, instead of capsules."""
+"""Test meshes in a recording. They replace capsules and are at their links, with pose, scale and colour."""
 
 from pathlib import Path
 
@@ -20,7 +20,10 @@ from tests.hand.mesh_files import meshed, write_meshes
 
 @pytest.fixture(scope="module")
 def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a run of a hand with meshes on some links. The mesh files are gone afterwards, as on another machine."""
+    """Write the log of a hand with meshes on some links, and return its path.
+
+    The mesh files are deleted afterwards, as if the log were on another machine.
+    """
     folder = tmp_path_factory.mktemp("meshes")
     files = folder / "files"
     files.mkdir()
@@ -76,7 +79,7 @@ def test_the_live_view_sends_the_same_meshes(mesh_log: Path, monkeypatch: pytest
         "send_chunks",
         lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
     )
-    monkeypatch.setattr(follow, "FLUSH_S", 0.05)  # there is no viewer
+    monkeypatch.setattr(follow, "FLUSH_S", 0.05)  # short, as there is no viewer
     run = run_info_of(mesh_log)
     follower = follow.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()

@@ -1,4 +1,4 @@
-"""Pictures drawn by the real viewer without a screen."""
+"""Test pictures that the real viewer draws without a screen."""
 
 import io
 import json
@@ -25,12 +25,12 @@ pytestmark = pytest.mark.timeout(120)
 
 
 def pixels(png: bytes) -> NDArray[np.int16]:
-    """Return the pixels of a picture (height, width, 3)."""
+    """Return the pixels of a PNG picture (height, width, 3)."""
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
 
 
 def fraction_near(image: NDArray[np.int16], colour: palette.Colour) -> float:
-    """Return the fraction of the pixels with about this hue, at any brightness."""
+    """Return the fraction of pixels that have about the hue of a colour, at any brightness."""
     light = np.linalg.norm(image, axis=2)
     cosine = image @ np.array(colour) / np.maximum(light * np.linalg.norm(colour), 1e-9)
     return float(((cosine > 0.995) & (light > 80)).mean())
@@ -56,7 +56,7 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
 
 @pytest.fixture(scope="module")
 def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, ViewerClient]"]:
-    """Open a viewer on the log itself, as `rerun LOG` does, without our layout."""
+    """Open a viewer on the log itself, as `rerun LOG` does, without the layout of handctl."""
     with running_viewer(["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan) as running:
         client = connect_client(running)
         wait_loaded(client, "message_log_time")
@@ -87,9 +87,9 @@ def test_the_viewer_listens_on_this_machine_only(bare: "tuple[Viewer, ViewerClie
 
 
 def test_viewer_ignores_streams_of_other_programs(bare: "tuple[Viewer, ViewerClient]") -> None:
-    """Ignore a program that still sends to a closed viewer.
+    """A viewer does not show data that a program still sends to an earlier viewer.
 
-    Regression: such a program replaced the views of the next viewer.
+    Regression: data of such a program replaced the views of the next viewer.
     """
     running, client = bare
     assert not running.url.endswith(":9876/proxy"), "the viewer does not use the default port of Rerun"
@@ -98,7 +98,7 @@ def test_viewer_ignores_streams_of_other_programs(bare: "tuple[Viewer, ViewerCli
 
 
 def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A viewer on a busy machine names a recording and its views before any data."""
+    """On a busy machine, a viewer names a recording and its views before it has any data."""
     from rerun.experimental import Recording, StoreId, Timeline, View, ViewerState
 
     def state(*timelines: Timeline) -> ViewerState:

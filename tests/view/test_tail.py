@@ -1,4 +1,4 @@
-"""A growing log is read to its end without lost or duplicate messages, however it grows."""
+"""A growing log is read to its end without lost or duplicate messages, in whatever steps it grows."""
 
 import random
 from pathlib import Path
@@ -15,7 +15,7 @@ from handctl.view.tail import LogTail
 
 
 def grow_file(whole: bytes, seed: int) -> list[int]:
-    """Return the sizes at which the log is read: first its header, then random sizes."""
+    """Return the sizes at which a growing log is read: first its header, then random sizes, and at last the whole."""
     source = random.Random(seed)
     first = 64 << 10
     return [first, *sorted(source.randrange(first, len(whole)) for _ in range(12)), len(whole)]
@@ -39,7 +39,7 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(seed: int, jamia_pat
     shown, expected = entities(chunks), entities(log_chunks(jamia_path, TopicConverters(run), "whole"))
     assert shown.keys() == expected.keys()
     for name in shown.keys() - {"/tension/limit"}:
-        if name == "/tf_static":  # sent once, and again in a part that begins at the same time
+        if name == "/tf_static":  # may be sent twice
             assert set(map(repr, shown[name].rows)) == set(map(repr, expected[name].rows))
             continue
         np.testing.assert_array_equal(shown[name].times, expected[name].times, err_msg=name)

@@ -1,4 +1,4 @@
-"""The recording has the content of the log."""
+"""A Rerun recording has the same content as the log that it is made from."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -121,7 +121,7 @@ def test_frames_put_the_fingertips_where_kinematics_does(
 
 
 def _place(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> np.ndarray:
-    """Return the origin of a frame in the palm's frame."""
+    """Return the origin of a frame in the frame of the palm, by the transforms between frames."""
     point = np.zeros(3)
     while frame != "palm":
         frame, translation, (x, y, z, w) = edges[frame]

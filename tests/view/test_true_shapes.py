@@ -1,4 +1,7 @@
-"""Object and table of a simulated run in the view, at the poses of the simulator's truth."""
+"""Test the object and the table of a simulated run in the view.
+
+They have the poses that the truth of the simulator gives.
+"""
 
 import json
 from dataclasses import replace
@@ -23,7 +26,7 @@ COLUMNS = (*(f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz"
 
 
 def truth_of(shapes: dict[str, Any], seconds: float = 1.0) -> TruthRecord:
-    """Return a truth in which the object rises by 10 mm a second, and the table sinks by 50."""
+    """Return a truth in which the object rises by 10 mm per second and the table sinks by 50 mm per second."""
     t_ns = np.arange(0, int(seconds * 1e9) + 1, 1_000_000)
     values = np.zeros((len(t_ns), len(COLUMNS)))
     values[:, 2] = 0.01e-9 * t_ns
@@ -33,7 +36,7 @@ def truth_of(shapes: dict[str, Any], seconds: float = 1.0) -> TruthRecord:
 
 
 def drawn(path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
-    """Return the entities of a run with a truth."""
+    """Return the entities that show the object and the table of a run with a truth."""
     run = run_info_of(path)
     header = replace(run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)})
     return entities(true_shape_chunks(RunInfo(header, run.hand, run.name, truth)))
@@ -62,7 +65,7 @@ def test_an_unknown_shape_is_one_line(jamia_path: Path) -> None:
 
 
 def write_truth(path: Path, truth: TruthRecord) -> None:
-    """Write a truth file."""
+    """Write a truth to a file, and check that it can be read."""
     head = json.dumps({"columns": truth.columns, **truth.header}) + "\n"
     rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
     rows["t_ns"] = truth.t_ns

@@ -1,4 +1,4 @@
-"""The simulated hand as a process on the other side of vcan."""
+"""Run the simulated hand as a process at the other end of a vcan interface."""
 
 import contextlib
 import select
@@ -14,10 +14,13 @@ import pytest
 from tests.runtime.processes import scaled
 
 TIME_SCALE = 0.15
-"""Pace of plant, watchdogs and deadlines. The guest has one core, and reading a clock is a system call."""
+"""Time scale of simulated hand, watchdogs and deadlines.
+
+The guest is slow: it has one core, and each reading of a clock is a system call.
+"""
 READY_S, END_S = 60.0, 20.0
 STALL_FAULTS = ("H03", "B02", "N02", "B17", "N08")
-"""Faults that end a run, as they should, if host or simulator do not run for a while."""
+"""Faults that rightly end a run if the host or the simulator does not run for a while."""
 
 
 SIMULATOR = """
@@ -25,10 +28,11 @@ import ctypes, runpy, mujoco
 mujoco.set_mjcb_time(ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double)))
 runpy.run_module("firmware_sim", run_name="__main__", alter_sys=True)
 """
-"""Program with another clock for MuJoCo's profile.
+"""Program that runs the simulator with another clock for MuJoCo's profile.
 
-MuJoCo reads the clock some forty times in a step, which takes 1 ms in the guest. A C function
-without a system call makes the step a hundred times faster. The result only feeds MuJoCo's profile.
+MuJoCo reads the clock about forty times in a step, which takes 1 ms in the guest. With a C function
+that needs no system call, the step is a hundred times faster. Its values are used only in MuJoCo's
+profile.
 """
 
 
@@ -36,12 +40,12 @@ without a system call makes the step a hundred times faster. The result only fee
 def serving(
     *options: str, stderr_file: Path | None = None, time_scale: float = TIME_SCALE
 ) -> Iterator["subprocess.Popen[str]"]:
-    """Serve hand jamia on vcan0 by ``firmware_sim``, and check that the process ends in an orderly way.
+    """Run ``firmware_sim`` with the hand jamia on vcan0, and check that its process ends in order.
 
     Args:
-        options: additional arguments.
-        stderr_file: file for the output on stderr.
-        time_scale: pace of the plant.
+        options: further command-line arguments of the simulator.
+        stderr_file: file for the simulator's standard error.
+        time_scale: time scale of the simulator.
     """
     words = ["--hand", "jamia", "--bus", "socketcan:vcan0", *scaled(time_scale), "--seed", "1", *options]
     with stderr_file.open("w") if stderr_file else contextlib.nullcontext() as stderr:
@@ -60,7 +64,7 @@ def serving(
 
 @pytest.fixture(scope="module")
 def simulator(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
-    """Serve a simulated hand for all tests of a module, with the options of its parameter."""
+    """Run a simulated hand for all tests of a module. The parameter of the fixture has its options."""
     with serving(*getattr(request, "param", ())) as process:
         yield process
 

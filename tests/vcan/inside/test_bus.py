@@ -1,4 +1,4 @@
-"""The contract of handctl's bus against the kernel's sockets."""
+"""Test the bus of handctl on the CAN sockets of the kernel."""
 
 import socket
 import struct
@@ -16,7 +16,7 @@ CLASSICAL = struct.Struct("=IB3x8s")
 NOMINAL, DATA = 1_000_000, 5_000_000
 WAIT_S = 20.0
 INDEX = 1
-"""Index of the hand's bus on vcan0."""
+"""Index of the bus on vcan0 among the buses of a hand."""
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def peer() -> Iterator[Bus]:
 
 
 def drain_bus(bus: Bus, count: int) -> list[Frame]:
-    """Return at least this many frames, or all that came in time."""
+    """Read frames until at least ``count`` have arrived or the time is over."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.005)
@@ -107,7 +107,7 @@ def test_every_frame_that_was_not_read_in_time_is_counted(peer: Bus) -> None:
         received = 0
         while frames := peer.drain():
             received += len(frames)
-        flood.send(CLASSICAL.pack(0x7FF, 0, b""))  # the kernel reports its count with the next frame that fits
+        flood.send(CLASSICAL.pack(0x7FF, 0, b""))  # carries the kernel's count of drops
         received += len(drain_bus(peer, 1))
     dropped = sum(number for kind, _, number in peer.take_events() if kind == "dropped")
     assert 0 < received < sent
@@ -115,7 +115,7 @@ def test_every_frame_that_was_not_read_in_time_is_counted(peer: Bus) -> None:
 
 
 def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None:
-    """Send error frames as a controller's driver does: warning, bus-off, restart."""
+    """The error frames are sent as the driver of a CAN controller sends them: a warning, bus-off, and a restart."""
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as driver:
         driver.bind(("vcan0",))
         driver.send(CLASSICAL.pack(ERROR | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
@@ -129,7 +129,7 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
 
 
 def wait_for(bus: Bus, kind: str) -> list[Frame]:
-    """Return the frames received before an event of this kind."""
+    """Wait for an event of a kind, and return the frames that were received before it."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while kind not in {event for event, _, _ in bus.take_events()}:
         assert time.monotonic() < end, f"no {kind} in {WAIT_S} s"
@@ -139,7 +139,10 @@ def wait_for(bus: Bus, kind: str) -> list[Frame]:
 
 
 def test_a_full_transmit_queue_refuses_and_is_an_event(slow: tuple[str, str]) -> None:
-    """Use a queue of ten frames before a wire of 50 kbit/s, made by netem, because vcan alone never refuses."""
+    """A queue of ten frames is in front of a wire of 50 kbit/s.
+
+    netem makes this wire, because vcan alone never refuses a frame.
+    """
     sender, receiver = (open_bus(f"socketcan:{name}", INDEX, NOMINAL, stamp=int) for name in slow)
     batch = [Frame(n, bytes(8), bus=INDEX) for n in range(60)]
     accepted = sender.send(batch)
@@ -154,7 +157,7 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow: tuple[str, str]) ->
 
 @pytest.fixture
 def slow() -> Iterator[tuple[str, str]]:
-    """Make a CAN tunnel with a slow wire behind its first end."""
+    """Make a CAN tunnel with a slow wire behind its first end, and yield the names of both ends."""
     made = subprocess.run(["bash", "-c", SLOW], capture_output=True, text=True, check=False)
     if made.returncode:
         pytest.skip(f"no vxcan with netem here: {made.stderr.strip()}")

@@ -1,4 +1,4 @@
-"""The contract of buses on real SocketCAN."""
+"""Run the tests of the bus contract on real SocketCAN."""
 
 from collections.abc import Iterator
 

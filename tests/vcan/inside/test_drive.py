@@ -1,4 +1,4 @@
-"""A golden grasp driven again on real SocketCAN: equal angles and equal tensions."""
+"""A hand on real SocketCAN repeats a recorded grasp with equal angles and equal tensions."""
 
 import datetime
 import json
@@ -19,10 +19,9 @@ from tests.replay.runs import SCENE
 HANDCTL = Path(sys.executable).with_name("handctl")
 GOLDEN = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
 RATE_HZ, SLOWER = 200, 0.03
-"""Pace of this test, a third of the other tests'.
+"""Control rate [Hz] and time scale of this test. Its time is slower than that of the other tests.
 
-The guest's core is shared with the host's other work, and a pause of four ticks ends a run, as it
-should.
+The guest shares its core with other work of the host. A pause of four ticks rightly ends a run.
 """
 SCENE_FILE = Path("/dev/shm/drive-scene.toml")
 SIMULATED = ["--homed", "--scene", str(SCENE_FILE), "--time-scale", str(SLOWER)]
@@ -34,7 +33,7 @@ def scene() -> None:
 
 
 def _write_homed_calibration(path: Path) -> None:
-    """Write the calibration of a hand that starts homed."""
+    """Write the calibration of a simulated hand that starts with known motor zeros."""
     hand, made = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
     no_offset = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     tendons = dict.fromkeys(hand.tendon_names, no_offset)
@@ -60,5 +59,5 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     summary = f"mean angles of the digits {apart.max():.2f} deg at most, joints {max(angles.values()):.2f} deg rms, "
     print(summary + f"tensions {100 * abs(new / old - 1).max():.1f} % apart")
     assert max(angles.values()) < 1.0, angles
-    assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, summary  # peaks: the guest's clocks slip under load
+    assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, summary  # no peaks, because the guest's clocks slip
     np.testing.assert_allclose(new, old, rtol=0.05)

@@ -1,4 +1,7 @@
-"""The simulated drives and sensor node on real sockets, with frames made from the fact sheets."""
+"""Test the simulated drives and the simulated sensor node on real CAN sockets.
+
+The frames were made from the fact sheets.
+"""
 
 import socket
 import struct
@@ -20,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("simulator")
 
 
 class Bus:
-    """A raw socket that waits for the frames of one identifier."""
+    """A raw CAN socket that can wait for a frame with a given identifier."""
 
     def __init__(self, opened: socket.socket) -> None:
         self.socket = opened
@@ -37,7 +40,7 @@ class Bus:
         pytest.fail(f"no frame {can_id:#x} within {WAIT_S} s")
 
     def state(self, node: int) -> int:
-        """Return the state nibble of the answer to a refresh."""
+        """Send a refresh request to a motor, and return the state bits of its reply."""
         self.send(REGISTERS, bytes([node, 0, REFRESH, 0, 0, 0, 0, 0]))
         return self.receive(node + 0x10)[0] >> 4
 
@@ -74,7 +77,7 @@ def test_the_drives_hold_the_limits_of_the_hand_file(bus: Bus) -> None:
 def test_a_sync_brings_the_tensions_of_that_moment(bus: Bus, counter: int) -> None:
     bus.send(SYNC, bytes([counter]))
     reply = bus.receive(TENSIONS)
-    assert len(reply) == 7  # 4 bits of counter and four channels of 12
+    assert len(reply) == 7  # a counter of 4 bits and four channels of 12
     bits = int.from_bytes(reply, "little")
     assert bits & 0xF == counter & 0xF
     assert bits >> 52 == 0
@@ -84,10 +87,10 @@ def test_a_sync_brings_the_tensions_of_that_moment(bus: Bus, counter: int) -> No
 
 def test_a_drive_without_commands_drops_its_torque(bus: Bus) -> None:
     node = NODES[0]
-    bus.send(REGISTERS, bytes([node, 0, 0x55, WATCHDOG]) + struct.pack("<I", 1000))  # 50 ms in units of 50 us
+    bus.send(REGISTERS, bytes([node, 0, 0x55, WATCHDOG]) + struct.pack("<I", 1000))  # 50 ms, in 50 us
     bus.receive(node + 0x10)
     bus.send(node, ENABLE)
     assert bus.receive(node + 0x10)[0] >> 4 == ENABLED
-    time.sleep(2.0)  # 200 ms of the slowed time
+    time.sleep(2.0)  # 200 ms of slowed time
     assert bus.state(node) == COMMUNICATION_LOST
     assert bus.state(NODES[1]) == DISABLED

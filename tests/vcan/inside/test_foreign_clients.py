@@ -1,4 +1,4 @@
-"""Third-party clients against the simulated drives on real SocketCAN."""
+"""Run motor clients of other projects with the simulated drives on real SocketCAN."""
 
 import can
 import pytest

@@ -1,4 +1,7 @@
-"""Faults of a host that only root can make, in the guest: wall clock steps and an interface taken down in a run."""
+"""Test faults of a host that only root can make, in the guest.
+
+The wall clock is set, or an interface is taken down during a run.
+"""
 
 import fcntl
 import os
@@ -29,16 +32,16 @@ from tests.vcan.inside.conftest import STALL_FAULTS
 from tests.vcan.inside.test_protocols import DIGITS, PULL_N, RATE_HZ, simulated
 
 SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
-"""Source: Linux ``sockios.h`` and ``if.h``."""
+"""Requests to the kernel, and the flag of an interface that is up. Source: Linux ``sockios.h`` and ``if.h``."""
 WATCHDOG_MS = 50
 HOUR_S = 3600.0
 AT_S, AFTER_S = 0.15, 0.3
-"""Time of the fault from the start of the pull, and time that the pull would continue [s]."""
+"""Time from the start of the pull to the fault, and time for which the pull would then continue [s]."""
 TIME_SCALE = 0.1
 
 
 def set_up(interface: str, up: bool) -> None:
-    """Set an interface up or down without a process, as ``ip link set INTERFACE up``."""
+    """Set an interface up or down as ``ip link set INTERFACE up`` does, but without a process."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         name = interface.encode().ljust(16, b"\0")
         (flags,) = struct.unpack_from("=h", fcntl.ioctl(any_socket, SIOCGIFFLAGS, name + bytes(24)), 16)
@@ -47,14 +50,17 @@ def set_up(interface: str, up: bool) -> None:
 
 
 class FaultObserver:
-    """Observer of a run that makes one fault after the other during the pull. See ``session.run.RunObserver``."""
+    """Observer of a run that makes its faults one after the other during the pull.
+
+    See ``session.run.RunObserver``.
+    """
 
     def __init__(self, *acts: Callable[[], None]) -> None:
         self.acts = acts
         self.reset()
 
     def reset(self) -> None:
-        """Reset the record of faults and modes."""
+        """Reset the record of made faults and of modes, for a new run."""
         self.done_ns, self.modes, self.pulled, self.left = 0, list[Mode](), 0, list(self.acts)
 
     def poll_requests(self) -> tuple[str, ...]:
@@ -69,7 +75,10 @@ class FaultObserver:
 
 
 def run(folder: Path, observer: FaultObserver) -> tuple[Outcome, Truth]:
-    """Arm, pull every tendon, relax and disarm, with faults during the pull."""
+    """Run a hand that is armed, pulls every tendon, relaxes and is disarmed.
+
+    The observer makes faults during the pull.
+    """
     path = hand_file(folder, ["mit"])
     hand = load_hand(str(path))
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
@@ -82,9 +91,10 @@ def run(folder: Path, observer: FaultObserver) -> tuple[Outcome, Truth]:
 
 
 def run_until_done(folder: Path, observer: FaultObserver, expected: str) -> tuple[Outcome, Truth]:
-    """Return the first run with the fault that did not end because the guest's one core was busy.
+    """Return the first run that ended as expected, and not because the guest's only core was busy.
 
-    The fault may end runs in the same way. Then all five runs end, and the test reports it.
+    If a defect ends runs in the same way as a busy core, all five runs end like this. The test then
+    fails.
     """
     failure = ""
     for number in range(5):
@@ -94,7 +104,7 @@ def run_until_done(folder: Path, observer: FaultObserver, expected: str) -> tupl
         set_up("vcan0", True)
         try:
             outcome, truth = run(place, observer)
-        except LogError as error:  # the recorder has not started within twenty seconds
+        except LogError as error:  # the recorder did not start in time
             failure = str(error)
             continue
         failure = outcome.state.failure
@@ -107,7 +117,7 @@ def run_until_done(folder: Path, observer: FaultObserver, expected: str) -> tupl
 
 @pytest.fixture
 def interface() -> Iterator[str]:
-    """Yield an interface that is up again afterwards, with CAN FD as before."""
+    """Yield the name of an interface, and set it up again afterwards."""
     assert shutil.which("ip")
     yield "vcan0"
     set_up("vcan0", True)
@@ -115,7 +125,7 @@ def interface() -> Iterator[str]:
 
 @pytest.fixture
 def clock() -> Iterator[None]:
-    """Restore the guest's wall clock afterwards."""
+    """Restore the wall clock of the guest after a test."""
     wall, mono = time.time(), time.monotonic()
     yield
     time.clock_settime(time.CLOCK_REALTIME, wall + time.monotonic() - mono)
@@ -125,7 +135,7 @@ def clock() -> Iterator[None]:
 @pytest.mark.timeout(600)
 @pytest.mark.usefixtures("clock")
 def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
-    """H11: one hour forward, then two hours back."""
+    """The wall clock is set one hour forward and then two hours back. This is the fault H11 of the catalogue."""
     offsets = [time.time() - time.monotonic()]
 
     def step(seconds: float) -> None:
@@ -146,7 +156,7 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
 
 @pytest.mark.timeout(600)
 def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(interface: str, tmp_path: Path) -> None:
-    """B14."""
+    """The interface that is taken down is the fault B14 of the catalogue."""
     observer = FaultObserver(lambda: set_up(interface, False))
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure

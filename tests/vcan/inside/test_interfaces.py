@@ -1,4 +1,4 @@
-"""The basis of all other tests here: the kernel's CAN sockets without any library."""
+"""Test the CAN sockets of the kernel without any library. All other tests in this folder rely on them."""
 
 import json
 import socket

@@ -1,7 +1,7 @@
-"""A hand is armed, pulls, and is disarmed over real SocketCAN: with each protocol, and over two buses.
+"""A hand is armed, pulls, and is disarmed over real SocketCAN, with each drive protocol and over two buses.
 
-The simulated hand is forked from this process, because imports take longer in the guest than the
-test.
+The simulated hand is forked from this process, because in the guest its imports would take longer
+than the test.
 """
 
 import ctypes
@@ -40,13 +40,13 @@ PERIOD_NS = 5_000_000
 READY_S, END_S = 30.0, 20.0
 SPOOL_TORQUE_N_M, TORQUE_S = 0.05, 0.3
 TAUT_N, PULLED_N = 5.0, 3.0
-"""Minimum tension with the torque above, and maximum tension after its end [N]."""
+"""Smallest tension while the motors make the torque above, and largest tension after the torque has ended [N]."""
 PULL_N, PULL_S = 20.0, 0.2
 DIGITS = ("index", "middle", "ring", "thumb")
 
 
 def serve(words: Sequence[str], ready: int) -> None:
-    """Run the simulator in a child, with its output into a pipe."""
+    """Run the simulator in this child process. Its output goes into a pipe."""
     mujoco.set_mjcb_time(ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double)))  # see conftest
     sys.stdout = os.fdopen(ready, "w")
     raise SystemExit(firmware_sim(list(words)))
@@ -54,7 +54,7 @@ def serve(words: Sequence[str], ready: int) -> None:
 
 @contextmanager
 def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) -> Iterator[None]:
-    """Run a simulated hand with taut tendons beside this process, and check that it ends in an orderly way."""
+    """Run a simulated hand with taut tendons in another process, and check that this process ends in order."""
     names = load_hand(str(path)).bus_names
     words = [word for name, spec in zip(names, buses, strict=True) for word in ("--bus", f"{name}={spec}")]
     words += ["--hand", str(path), "--truth", str(truth), "--time-scale", str(time_scale), "--homed"]
@@ -76,7 +76,10 @@ def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) 
 
 
 class Hand:
-    """The drives of a hand on real sockets, with SYNC, ticked on the slowed clock, without a controller."""
+    """The drives of a hand on real sockets, without a controller.
+
+    They run tick by tick on a slowed clock, with SYNC.
+    """
 
     def __init__(self, path: Path, specs: Sequence[str], time_scale: float) -> None:
         self.clock = RealClock(PERIOD_NS, time_scale)
@@ -88,7 +91,7 @@ class Hand:
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
         self.states = [drive.initial() for drive in self.drives]
         self.k = 0
-        prepare()  # compile first, as a controller does: watchdogs would fire
+        prepare()  # compile first, or watchdogs would fire
         self.clock.start()
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
@@ -138,7 +141,7 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 
 
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
-    """Run the whole controller with its recorder, with the two protocols that ``test_run`` does not have."""
+    """The whole controller runs with its recorder and with two protocols, which ``test_run`` does not use."""
     path = on_two_buses(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
     assert outcome.state.failure == ""
@@ -146,11 +149,14 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     assert outcome.exit == ExitCode.DONE
     assert outcome.stats.refused == truth.header["lost_frames"] == 0
     for digit in DIGITS:
-        assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit  # the guest's clocks slip
+        assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit  # low, as the guest's clocks slip
 
 
 def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[Outcome, Truth]:
-    """Arm, pull every tendon for a moment, relax and disarm. Return the outcome and the truth."""
+    """Run a hand that is armed, pulls every tendon for a moment, relaxes and is disarmed.
+
+    Return the outcome and the truth.
+    """
     hand, time_scale = load_hand(str(path)), 0.1
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
     plan = Plan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)

@@ -1,4 +1,4 @@
-"""python-can receives the same frames, as candump, BUSMASTER or scripts of users do."""
+"""python-can receives the frames of a hand. So can candump, BUSMASTER or scripts of users."""
 
 import can
 import pytest

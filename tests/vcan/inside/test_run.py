@@ -1,7 +1,7 @@
-"""The whole chain on real SocketCAN: ``handctl run`` grasps a cylinder, two processes apart.
+"""Test the whole chain on real SocketCAN. ``handctl run`` grasps a cylinder with a simulated hand in another process.
 
-The nightly run commissions the hand first. The daily run starts homed with a fresh calibration,
-because the seven seconds of commissioning take 45 s in the guest.
+At night the hand is commissioned first. By day it starts with known motor zeros and a new
+calibration, because seven seconds of commissioning take 45 s in the guest.
 """
 
 import json
@@ -20,12 +20,15 @@ HANDCTL = Path(sys.executable).with_name("handctl")
 TASK = Path(__file__).with_name("short_grasp.toml")
 DIGITS = {"index", "middle", "ring", "thumb"}
 TIME_SCALES = (TIME_SCALE, 0.5 * TIME_SCALE, 0.25 * TIME_SCALE)
-"""Pace of each attempt. In slower time an interruption is shorter, and a defect is not."""
+"""Time scale of each attempt.
+
+In slower time, an interruption of the guest is shorter for the hand. A defect is the same.
+"""
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 
 
 def run_on(folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
-    """Run ``handctl run`` against a new simulator."""
+    """Run ``handctl run`` with a new simulator and a time scale, and return the ended process."""
     calibration = folder / "jamia.calibration.toml"
     if not NIGHTLY:
         write_homed(calibration, load_hand("jamia"))
@@ -37,7 +40,7 @@ def run_on(folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
 
 
 def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """Return the first run that did not end because the guest's one core was busy, and its folder."""
+    """Return the first run that did not end because the guest's only core was busy, and the folder of this run."""
     for number, time_scale in enumerate(TIME_SCALES):
         place = folder / str(number)
         place.mkdir()
@@ -59,8 +62,8 @@ def test_a_run_grasps_holds_and_releases(tmp_path: Path) -> None:
     assert result["failure"] == ""
     assert result["log_complete"]
     assert log.stat().st_size == result["log_bytes"]
-    assert result["ticks"] > 4 * result["rate_hz"]  # seconds of the task
-    assert result["frames_rx"] > 4 * result["ticks"]  # a reply of each motor, and the tensions
+    assert result["ticks"] > 4 * result["rate_hz"]  # longer than four seconds
+    assert result["frames_rx"] > 4 * result["ticks"]  # four motors and the load cells reply
     assert result["frames_lost"] < 0.01 * result["frames_rx"]
     assert result["tension_hold_error_n"] < 2.0
     assert result["object_motion_mm"] < 5.0

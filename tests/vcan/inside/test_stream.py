@@ -1,4 +1,4 @@
-"""A stream of targets to a hand on real SocketCAN, three processes apart: client, controller and simulated hand."""
+"""Test a stream of targets to a hand on real SocketCAN. Client, controller and simulated hand are three processes."""
 
 import contextlib
 from pathlib import Path
@@ -13,14 +13,14 @@ from tests.runtime.processes import HOMED, write_homed
 from tests.vcan.inside.conftest import SIMULATOR, STALL_FAULTS, TIME_SCALE
 
 TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
-"""Pace of each attempt.
+"""Time scale of each attempt.
 
-In slower time an interruption of the guest is shorter, and a defect is not.
+In slower time, an interruption of the guest is shorter for the hand. A defect is the same.
 """
 TRACKED_S = 2.5
-"""Length of the motion [s]. The first second does not count."""
+"""Duration of the motion [s]. The error in its first second does not count."""
 LARGEST_RATIO = 1.5
-"""Largest tracking error of a stream, as a multiple of the error of the same motion as a task."""
+"""Largest permitted tracking error of a stream, divided by the error of the same motion in a task."""
 
 
 @pytest.mark.nightly
@@ -42,18 +42,18 @@ def test_a_streamed_sine_is_followed_like_a_task(tmp_path: Path, monkeypatch: py
 
 
 class GuestStoppedError(Exception):
-    """A run that ended because the only core of the guest was busy."""
+    """Error for a run that ended because the only core of the guest was busy."""
 
 
 def tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
-    """Measure the tracking error of a stream and of a task.
+    """Measure the tracking error of a stream and that of the same motion in a task.
 
     Raises:
         GuestStoppedError: client, controller or simulated hand did not run for a while.
     """
     try:
         return streaming.measure_tracking("socketcan:vcan0", time_scale, (calibration, HOMED))
-    except UnconfirmedError as error:  # the controller has ended between two requests
+    except UnconfirmedError as error:  # the controller ended before a request
         raise GuestStoppedError from error
     except DriveError as error:
         if any(fault in str(error) for fault in STALL_FAULTS):
