@@ -238,7 +238,8 @@ def compute_command(rotor: Any) -> None:
     """Compute the limited torque command [N m] of the servo, from the velocity at the end of the step.
 
     The control loop of a real drive runs at 10 to 20 kHz. With the implicit form, all gains stable
-    in the drive are stable here.
+    in the drive are stable here. A drive that moves its position
+    setpoint by itself moves it to the end of the step.
     """
     servo = rotor.servo_row
     lag = rotor.lag
@@ -251,6 +252,8 @@ def compute_command(rotor: Any) -> None:
     drag = rotor.load + rotor.coulomb * bend
     command = servo.torque
     limit = servo.limit
+    if servo.target_speed != 0.0:
+        servo.position += rotor.step * servo.target_speed
     if servo.kp != 0.0 or servo.kd != 0.0:
         # The command at the end of the step has a fixed part, and a part that depends on the new
         # velocity.

@@ -24,6 +24,7 @@ class Servo:
         speed_limit: speed above which the drive brakes [rad/s].
         speed_gain: braking torque per speed above ``speed_limit`` [N m s/rad], 0 for no speed
             limit.
+        target_speed: speed with which the drive moves the position setpoint by itself [rad/s].
     """
 
     kp: float = 0.0
@@ -34,10 +35,12 @@ class Servo:
     limit: float = 0.0
     speed_limit: float = 0.0
     speed_gain: float = 0.0
+    target_speed: float = 0.0
 
     def release(self) -> None:
         """Set gains and setpoints to zero. The motor then turns freely."""
         self.kp = self.kd = self.position = self.velocity = self.torque = self.speed_gain = 0.0
+        self.target_speed = 0.0
 
 
 class ServoStruct(ctypes.Structure, Servo):
@@ -45,7 +48,9 @@ class ServoStruct(ctypes.Structure, Servo):
 
     _fields_ = [
         (name, ctypes.c_double)
-        for name in ("kp", "kd", "position", "velocity", "torque", "limit", "speed_limit", "speed_gain")
+        for name in (
+            "kp", "kd", "position", "velocity", "torque", "limit", "speed_limit", "speed_gain", "target_speed",
+        )
     ]
 
 

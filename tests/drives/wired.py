@@ -93,8 +93,8 @@ class Wired:
                 out = np.zeros((len(tables.templates), WORDS), np.uint64)
                 first, count = wire.encode_commands(
                     self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
-                    tables.templates, np.asarray(torque, dtype=np.float64), tables.servos, tables.servo_wholes,
-                    tables.servo_reals, first, 0,
+                    tables.templates, np.asarray(torque, dtype=np.float64), tables.servos, tables.servo_templates,
+                    tables.servo_wholes, tables.servo_reals, first, 0,
                 )  # fmt: skip
                 sent += Frames.of_rows(out[:count])
             if first >= len(self.drives):

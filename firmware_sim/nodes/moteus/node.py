@@ -4,13 +4,17 @@ The drive executes a frame subframe by subframe. If the frame writes the mode, a
 take effect at the end of the frame. The reply is built before, and therefore has the mode that the
 drive had before the frame. An unknown subframe ends the execution of its frame.
 
+In position mode, the drive moves the commanded position with the commanded velocity until the next
+command. A command without a position keeps the present target.
+
 Choices where the fact sheet has only an assumption:
 
 - The preparation of the power stage (modes 2, 3 and 4) takes 10 ms.
 - The drive is calibrated and has the gains of ``text.FACTORY_CONFIGURATION``. Its integrator is not
   simulated.
-- Trajectory limits, stop position, fixed current and the voltage modes are not simulated. A command
-  with one of these modes is refused like an invalid value.
+- Limits of velocity, acceleration and slip have no effect. The target moves as if they were nan.
+- Stop position, fixed current and the voltage modes are not simulated. A command with one of these
+  modes is refused like an invalid value.
 - Beyond a position limit, the feedforward torque cannot push further in the direction of that
   limit.
 """
@@ -102,6 +106,7 @@ class MoteusNode:
         self._serial = SERIAL + spec.node_id if spec.serial is None else spec.serial
         self._next_mode = STOPPED
         self._pending: int | None = None
+        self._has_target = False
         self._enabling_ns = 0
         self._thermal_ns = -1
         self._t_ns = 0
@@ -254,6 +259,21 @@ class MoteusNode:
         """Return the position as frames report it [turn]."""
         return (self._direction * self.motor.encoder() + self.offset) / TURN
 
+    @property
+    def _target(self) -> float:
+        """Return the position that the drive approaches, on the wire [turn]."""
+        return (self._direction * self.motor.servo.position + self.offset) / TURN
+
+    @property
+    def _code(self) -> int:
+        """Return the fault code, or in position mode the code of a limit that acts on the loop's torque."""
+        motor = self.motor
+        servo = motor.servo
+        if self.fault or self.mode not in (POSITION, WITHIN):
+            return self.fault
+        torque = servo.kp * (servo.position - motor.encoder()) + servo.kd * (servo.velocity - motor.velocity)
+        return MAX_TORQUE_LIMITS if abs(torque + servo.torque) > servo.limit else 0
+
     def _measured(self, number: int) -> float:
         """Return the measured value of a register."""
         motor = self.motor
@@ -264,8 +284,9 @@ class MoteusNode:
         values: dict[int, float] = {
             0x001: self._position, 0x002: velocity, 0x003: torque, 0x004: torque / self._torque_constant,
             0x006: self._position, 0x007: motor.torque * motor.velocity, 0x00A: self.thermal.winding, 0x00B: 1.0,
-            0x00C: 1.0, 0x00D: 24.0, 0x00E: self.thermal.mosfet, 0x00F: self.fault, 0x033: commanded,
-            0x034: commanded, 0x03A: commanded, 0x03D: torque - commanded, 0x050: self._position, 0x051: velocity,
+            0x00C: 1.0, 0x00D: 24.0, 0x00E: self.thermal.mosfet, 0x00F: self._code, 0x033: commanded,
+            0x034: commanded, 0x038: self._target, 0x039: sign * motor.servo.velocity / TURN, 0x03A: commanded,
+            0x03D: torque - commanded, 0x050: self._position, 0x051: velocity,
             0x070: self._t_ns // 1_000_000 % 8388608,
         }  # fmt: skip
         return values.get(number, 0.0)
@@ -304,6 +325,7 @@ class MoteusNode:
     def _stop(self) -> None:
         """Switch the power stage off and clear the fault, if any."""
         self.motor.servo.release()
+        self._has_target = False
         self.mode = STOPPED
         self.fault = 0
         self._schedule()
@@ -332,11 +354,13 @@ class MoteusNode:
         else:
             position = command[reg.POSITION]
             velocity = command[reg.VELOCITY]
-            position = self._position if math.isnan(position) else position
+            if math.isnan(position):
+                position = self._target if self._has_target else self._position
             velocity = 0.0 if math.isnan(velocity) else velocity
             kp *= command[reg.KP_SCALE]
             kd *= command[reg.KD_SCALE]
             self._servo(kp, kd, position, velocity, command[reg.FEEDFORWARD], limit)
+        self._has_target = self.mode == POSITION
 
     def _violated_bound(self) -> float | None:
         """Return the bound of the mode *stay within* that the position violates [turn], None if none is violated."""
@@ -365,7 +389,7 @@ class MoteusNode:
         servo.kp = kp
         servo.kd = kd
         servo.position = sign * (position * TURN - self.offset)
-        servo.velocity = sign * velocity * TURN
+        servo.velocity = servo.target_speed = sign * velocity * TURN
         servo.torque = sign * max(-largest, min(largest, finite))
         servo.limit = largest
 
@@ -375,6 +399,7 @@ class MoteusNode:
         The code TIMEOUT enters the mode timeout, without a fault code.
         """
         self.motor.servo.release()
+        self._has_target = False
         self.mode = TIMEOUT if fault == TIMEOUT else FAULT
         self.fault = 0 if fault == TIMEOUT else fault
         self._schedule()

@@ -36,6 +36,11 @@ from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.task import Task
 
+NO_POSITION_LOOP = {
+    "odrive": ". Set_Input_Pos of an ODrive contains no gains, and torque commands need another mode",
+    "cia402": ". CiA 402 standardises no gains of position loops, and torque commands need another mode",
+}
+"""Reason why the drives of a protocol close no position loop, as the end of an error message."""
 SETUP_ATTACHMENT = "setup.json"
 """Name of the log attachment that holds the ``Setup``."""
 
@@ -189,13 +194,14 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
     where = f"motor[{motor.name}]"
     message = drive.cyclic.position
     if message is None:
-        right = 'mit, cubemars, robstride or robstride_mit with control = "position"'
-        raise ConfigError(f'"{motor.protocol}"', f"{where}.protocol", right)
+        right = 'mit, cubemars, robstride, robstride_mit or moteus with control = "position"'
+        reason = NO_POSITION_LOOP.get(motor.protocol, "")
+        raise ConfigError(f'"{motor.protocol}"', f"{where}.protocol", f"{right}{reason}")
     given = {Quantity.STIFFNESS: "kp_N_m_per_rad", Quantity.DAMPING: "kd_N_m_s_per_rad"}
     for signal in message.signals:
         value = getattr(motor, given[signal.quantity]) if signal.quantity in given else None
-        largest = ((1 << signal.length) - 1) * signal.scale
-        smallest = signal.scale if signal.quantity == Quantity.STIFFNESS else 0.0
+        largest = signal.ends[1]
+        smallest = signal.step if signal.quantity == Quantity.STIFFNESS else 0.0
         if value is not None and not smallest <= value <= largest:
             right = f"{smallest:.3g} to {largest:g} {signal.unit}, the codes of {motor.protocol}"
             raise ConfigError(f"{value:g}", f"{where}.{given[signal.quantity]}", right)

@@ -500,7 +500,7 @@ class Controller:
             if target == DriveTarget.ENABLE:
                 first, count = wire.encode_commands(
                     state.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
-                    tables.templates, torque, tables.servos, tables.servo_wholes,
+                    tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_wholes,
                     tables.servo_reals, first, count,
                 )  # fmt: skip
             if first >= n:
@@ -511,7 +511,7 @@ class Controller:
                 drive_state, frames = drive.clear(drive_state)
             else:
                 drive_state, frames = drive.advance(drive_state, t_ns, target, float(torque[first]))
-                if tables.servos[first] >= 0:
+                if tables.servos[first, 0] < tables.servos[first, 1]:
                     send_torque_only(state, first)
             self.keep(state, first, drive_state)
             if frames:

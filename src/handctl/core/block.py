@@ -248,8 +248,10 @@ SERVO_KD = _real("servo_kd", "servo", "N m s/rad",
     "damping of the drive's position loop; 0 for a torque command")  # fmt: skip
 SERVO_TORQUE = _real("servo_torque", "servo", "N m",
     "torque that the drive adds to that of its position loop")  # fmt: skip
+SERVO_LIMIT = _real("servo_limit", "servo", "N m",
+    "torque limit in the command; 0 for a drive whose commands contain none")  # fmt: skip
 SERVO_BEFORE = _real("servo_before", "servo", "",
-    "position, velocity, kp, kd and torque that the last tick commanded", rows=5)  # fmt: skip
+    "position as the drive has it now, velocity, kp, kd, torque and limit of the last command", rows=6)  # fmt: skip
 SERVO_SHARE = _real("servo_share", "servo", "", "fraction of recent ticks with kp > 0")
 SERVO_REPORT = _real("servo_report", "servo", "N",
     "motor force that the drive should report in this tick", initial=NAN)  # fmt: skip

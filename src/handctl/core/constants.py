@@ -80,6 +80,8 @@ FRICTION_STOP_SPEED = _real("stopping", "tendon", "m/s",
     "scale of speeds that motor friction stops within a period")  # fmt: skip
 DRIVE_CLOSES_LOOP = _whole("servo", "tendon", "",
     "1 if the drive closes the position loop of a motion")  # fmt: skip
+DRIVE_MOVES_TARGET = _whole("servo_moves", "tendon", "",
+    "1 if the drive moves the commanded position with the commanded velocity")  # fmt: skip
 SERVO_STIFFNESS = _real("servo_stiffness", "tendon", "N m/rad", "kp of the drive's position loop")
 SERVO_DAMPING = _real("servo_damping", "tendon", "N m s/rad", "kd of the drive's position loop")
 SERVO_KP_STEP = _real("servo_kp_step", "tendon", "N m/rad",

@@ -143,7 +143,7 @@ def compute_motor_torques(
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
         computed_torque.write_motor_torques(x, c, reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks)
     else:
-        computed_torque.command_no_torque(x)
+        computed_torque.command_no_torque(x, c)
 
 
 @kernel("block", "layout", "constants", "layout")

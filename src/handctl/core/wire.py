@@ -21,7 +21,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables, state_tables
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation.structure import carrier_excursion
-from handctl.core.law.servo import COMMAND_ROWS, command_torque_only
+from handctl.core.law.servo import command_torque_only
 from handctl.core.schema import Block, Places
 from handctl.drives.contract import Drive
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
@@ -407,30 +407,30 @@ def _store_value(x: Tables, row: int, n: int, value: float) -> None:
 
 
 @inner
-def _can_be_encoded(x: Tables, n: int, reals: Real, first: int) -> bool:
+def _can_be_encoded(x: Tables, n: int, reals: Real, first: int, end: int) -> bool:
     """Return True if each number of a drive's position command is within the range of its signal."""
-    for i in range(COMMAND_ROWS):
-        if not reals[first + i, 2] <= x.servo[s.SERVO_POSITION + i, n] <= reals[first + i, 3]:
+    for i in range(first, end):
+        if not reals[i, 2] <= x.servo[s.SERVO_POSITION + i - first, n] <= reals[i, 3]:
             return False
     return True
 
 
 @inner
 def _write_position_command(
-    x: Tables, n: int, row: Any, wholes: Whole, reals: Real, first: int
+    x: Tables, n: int, row: Any, template: Any, wholes: Whole, reals: Real, first: int, end: int
 ) -> None:
-    """Write position, velocity, kp, kd and torque into the record of a command."""
-    for word in range(PAYLOAD, WORDS):
-        row[word] = 0
-    for i in range(first, first + COMMAND_ROWS):
+    """Write position, velocity, kp, kd, torque and limit into the record of a command."""
+    for word in range(WORDS):
+        row[word] = template[word]
+    for i in range(first, end):
         bits = encode_signal(x.servo[s.SERVO_POSITION + i - first, n], wholes, reals, i)
         bits = bytes_reversed(bits) if wholes[i, ORDER] else bits
         write_window(row, PAYLOAD, wholes[i, WINDOW], bits)
 
 
 @kernel(
-    "block", "layout", "words", "matrix_int", "matrix_int", "matrix", "words", "vector", "keys", "matrix_int",
-    "matrix", "count", "count",
+    "block", "layout", "words", "matrix_int", "matrix_int", "matrix", "words", "vector", "matrix_int", "words",
+    "matrix_int", "matrix", "count", "count",
 )  # fmt: skip
 def encode_commands(
     block: Block,
@@ -442,6 +442,7 @@ def encode_commands(
     templates: Rows,
     torque: Real,
     servos: Whole,
+    servo_templates: Rows,
     servo_wholes: Whole,
     servo_reals: Real,
     first: int,
@@ -458,7 +459,8 @@ def encode_commands(
         reals: ``Wire.sent_reals``.
         templates: (frames, WORDS) records without torque.
         torque: (N,) commanded torque of each drive [N m].
-        servos: (N,) see ``Wire``.
+        servos: (N, 2) see ``Wire``.
+        servo_templates: (N, WORDS) see ``Wire``.
         servo_wholes: see ``Wire``.
         servo_reals: see ``Wire``.
         first: index of the first drive.
@@ -486,9 +488,13 @@ def encode_commands(
             return n, count
         for word in range(WORDS):
             out[count, word] = templates[i, word]
-        if servos[n] >= 0 and x.servo[s.SERVO_KP, n] > 0.0:
-            if _can_be_encoded(x, n, servo_reals, servos[n]):
-                _write_position_command(x, n, out[count], servo_wholes, servo_reals, servos[n])
+        begin = servos[n, 0]
+        end = servos[n, 1]
+        if begin < end and x.servo[s.SERVO_KP, n] > 0.0:
+            if _can_be_encoded(x, n, servo_reals, begin, end):
+                _write_position_command(
+                    x, n, out[count], servo_templates[n], servo_wholes, servo_reals, begin, end
+                )
                 count += 1
                 continue
             command_torque_only(x, n)
@@ -515,10 +521,11 @@ class Wire:
         sent_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
             column.
         templates: (f, WORDS) commands without torque.
-        servos: (N,) first row of each drive in ``servo_wholes``, -1 for a drive that receives only
-            torques.
-        servo_wholes: (5 p, COLUMNS) integers of the signals of position commands.
-        servo_reals: (5 p, 4) real numbers of these signals: scale, offset, smallest and largest
+        servos: (N, 2) first row of each drive in ``servo_wholes``, and the row after its last. Both
+            are equal for a drive that receives only torques.
+        servo_templates: (N, WORDS) position commands with all signals 0.
+        servo_wholes: (p, COLUMNS) integers of the signals of position commands.
+        servo_reals: (p, 4) real numbers of these signals: scale, offset, smallest and largest
             value, for the true torque of the motor.
     """
 
@@ -612,29 +619,37 @@ class Wire:
         """Build the tables of the position commands of all drives that close the position loop."""
         wholes = [np.empty((0, COLUMNS), np.int64)]
         reals = [np.empty((0, 4))]
-        servos = np.full(len(drives), UNKNOWN, np.int64)
+        servos = np.zeros((len(drives), 2), np.int64)
+        templates = np.zeros((len(drives), WORDS), np.uint64)
         for n, drive in enumerate(drives):
             message = drive.cyclic.position
             if not holds_position[n] or message is None:
                 continue
-            servos[n] = COMMAND_ROWS * (len(wholes) - 1)
-            wholes.append(Table(message).wholes)
+            signals = Table(message).wholes
+            first = sum(len(one) for one in wholes)
+            servos[n] = first, first + len(signals)
+            templates[n] = _frame_template(message, drive.bus)
+            wholes.append(signals)
             gain = 1.0 if torque_gain is None else float(torque_gain[n])
             reals.append(_ranges_of_signals(message, gain))
         self.servos: Whole = servos
+        self.servo_templates: Rows = templates
         self.servo_wholes: Whole = np.concatenate(wholes)
         self.servo_reals: Real = np.concatenate(reals)
 
 
 def _ranges_of_signals(message: Message, torque_gain: float) -> Real:
-    """Return scale, offset, smallest and largest value of each signal of a position command, (5, 4)."""
+    """Return scale, offset, smallest and largest value of each signal of a position command, (p, 4)."""
     rows = []
     for signal in message.signals:
+        if signal.quantity == Quantity.UNUSED:
+            continue
         gain = 1.0 if signal.quantity in (Quantity.POSITION, Quantity.VELOCITY) else torque_gain
-        ends = sorted((signal.offset, signal.offset + ((1 << signal.length) - 1) * signal.scale))
+        low, high = signal.ends
         if signal.quantity == Quantity.TORQUE:
-            ends = [max(ends[0], -message.limit), min(ends[1], message.limit)]
-        rows.append([gain * value for value in (signal.scale, signal.offset, *ends)])
+            low = max(low, -message.limit)
+            high = min(high, message.limit)
+        rows.append([gain * value for value in (signal.scale, signal.offset, low, high)])
     return np.array(rows)
 
 

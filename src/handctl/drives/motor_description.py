@@ -97,3 +97,18 @@ class MotorDescription(Protocol):
     def options(self) -> Mapping[str, Any]:
         """Return the options of the motor that its protocol defines."""
         ...
+
+    @property
+    def holds_position(self) -> bool:
+        """Return True if the drive closes the position loop of a moving digit."""
+        ...
+
+    @property
+    def kp_N_m_per_rad(self) -> float | None:  # noqa: N802 - the file's key
+        """Return the stiffness of the drive's position loop [N m/rad], None if absent."""
+        ...
+
+    @property
+    def kd_N_m_s_per_rad(self) -> float | None:  # noqa: N802 - the file's key
+        """Return the damping of the drive's position loop [N m s/rad], None if absent."""
+        ...

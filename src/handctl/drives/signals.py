@@ -50,6 +50,8 @@ class Quantity(enum.IntEnum):
     """Stiffness of the drive's own position loop, kp."""
     DAMPING = 10
     """Damping of the drive's own position loop, kd."""
+    LIMIT = 11
+    """Largest absolute torque of the drive."""
 
 
 class Coding(enum.IntEnum):
@@ -60,6 +62,13 @@ class Coding(enum.IntEnum):
     """Two's complement."""
     FLOAT = 2
     """IEEE 754, 32 bits."""
+
+
+FLOAT_STEPS = 1 << 16
+"""Steps of a float from 0 to 1 count in position commands.
+
+A float32 below 256 counts contains each of these steps exactly.
+"""
 
 
 class Signal(NamedTuple):
@@ -76,6 +85,7 @@ class Signal(NamedTuple):
         offset: value at count 0 [unit].
         unit: unit of the value.
         channel: index of the tendon or joint, in a frame with several tendons or joints.
+        largest: largest absolute count of a float. It bounds position commands only.
     """
 
     name: str
@@ -88,6 +98,26 @@ class Signal(NamedTuple):
     offset: float = 0.0
     unit: str = ""
     channel: int = 0
+    largest: float = math.inf
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return smallest and largest value of an unsigned integer or of a float [unit].
+
+        A stiffness, a damping or a limit is not negative.
+        """
+        low = 0.0
+        high = (1 << self.length) - 1.0
+        if self.coding == Coding.FLOAT:
+            high = self.largest
+            low = 0.0 if self.quantity in (Quantity.STIFFNESS, Quantity.DAMPING, Quantity.LIMIT) else -high
+        values = (self.offset + low * self.scale, self.offset + high * self.scale)
+        return min(values), max(values)
+
+    @property
+    def step(self) -> float:
+        """Return the resolution of the value [unit]: a count, or of a float 1 / ``FLOAT_STEPS`` of a count."""
+        return abs(self.scale) / (FLOAT_STEPS if self.coding == Coding.FLOAT else 1)
 
 
 class Message(NamedTuple):
@@ -126,22 +156,26 @@ class Cyclic(NamedTuple):
         commands: frames to the drive, in this order. One of them carries the torque.
         feedback_timeout_ns: longest time without feedback before the state machine must act [ns], 0
             for no limit.
-        position: the torque command with the five signals of ``POSITION_COMMAND``, with which the
-            drive closes its own position loop. None if the protocol has no such frame.
+        position: the torque command with the signals of ``POSITION_COMMAND``, with which the drive
+            closes its own position loop. None if the protocol has no such frame.
+        moves_target: True if the drive moves the commanded position with the commanded velocity
+            until the next command. False if the position stays. A moving position would pull ever
+            more after a failure of the host, so its command contains a torque limit.
     """
 
     feedback: tuple[Message, ...]
     commands: tuple[Message, ...]
     feedback_timeout_ns: int = 0
     position: Message | None = None
+    moves_target: bool = False
 
 
 POSITION_COMMAND = (
-    Quantity.POSITION, Quantity.VELOCITY, Quantity.STIFFNESS, Quantity.DAMPING, Quantity.TORQUE
+    Quantity.POSITION, Quantity.VELOCITY, Quantity.STIFFNESS, Quantity.DAMPING, Quantity.TORQUE, Quantity.LIMIT
 )  # fmt: skip
-"""Signals of ``Cyclic.position``, in order.
+"""Signals of ``Cyclic.position``, in order. The last one is optional.
 
-The drive makes the torque kp (position - p) + kd (velocity - v) + torque.
+The drive makes the torque kp (position - p) + kd (velocity - v) + torque, within +-limit.
 """
 
 

@@ -77,9 +77,9 @@ RELAX_FLOOR_N = 5.0
 
 
 @inner
-def command_no_torque(x: Tables) -> None:
+def command_no_torque(x: Tables, c: ConstantTables) -> None:
     """Command no torque. The setpoint of a later tension loop starts at the present tension."""
-    begin_servo_commands(x)
+    begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
         x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
         x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_FORCE, n] = x.tendon[s.PLANNED_TENSION, n] = x.tendon[
@@ -169,7 +169,7 @@ def write_motor_torques(
         open_loop: True if the motor forces of a relaxing hand equal the envelope, without feedback.
         ticks: number of periods since the last tick, 1 without missed ticks.
     """
-    begin_servo_commands(x)
+    begin_servo_commands(x, c)
     limit = present_tension_limits(x, c)
     count = x.tendon.shape[1]
     load = np.zeros(count)

@@ -18,6 +18,11 @@ coming period from the estimated p and v, half a period ahead, and limits this t
 control. The commanded position is then chosen so that the drive would make the limited torque. So
 the commanded position never leads the motor by more than the torque limits allow.
 
+Most drives keep the commanded position until the next command. Their position contains the planned
+motion of half a period. Other drives move the position with the commanded velocity, and get the
+position for the start of the period. If the host fails, such a drive moves the position until its
+watchdog fires. Therefore its command contains a torque limit slightly above the predicted torque.
+
 In commands for a digit that moves freely under the program, kp and kd are above 0. In all other
 cases they are 0, and t is the whole torque. These cases are a digit that touches an object,
 relaxes, is held by safety, or takes up slack, and a tick without a measured motor position.
@@ -43,17 +48,28 @@ The tension filter assumes that the motor force is constant within a period. In 
 loops oscillated. Examples are loops with 0.5 rad on the hand ``jamia`` at 100 Hz and on
 ``orca_like`` at 250 Hz.
 """
-COMMAND_ROWS = 5
-"""Number of rows of a command: position, velocity, kp, kd, torque."""
+COMMAND_ROWS = 6
+"""Number of rows of a command: position, velocity, kp, kd, torque, limit."""
+LIMIT_MARGIN_N = 10.0
+"""Margin of the torque limit in a command above the predicted motor force [N].
+
+In free motions, the force changes by less than 1 N within a period.
+"""
 
 
 @inner
-def begin_servo_commands(x: Tables) -> None:
-    """Store the commands of the last tick, and set the commands of this tick to 0."""
+def begin_servo_commands(x: Tables, c: ConstantTables) -> None:
+    """Store the commands of the last tick, and set the commands of this tick to 0.
+
+    The position of a drive that moves it is stored as the drive has it now.
+    """
+    elapsed = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
         for row in range(COMMAND_ROWS):
             x.servo[s.SERVO_BEFORE + row, n] = x.servo[s.SERVO_POSITION + row, n]
             x.servo[s.SERVO_POSITION + row, n] = 0.0
+        if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
+            x.servo[s.SERVO_BEFORE, n] += elapsed * x.servo[s.SERVO_BEFORE + 1, n]
 
 
 @inner
@@ -163,12 +179,15 @@ def write_servo_command(
         # errors of carriers have no effect.
         travel += carrier_excursion(c, n, x.joint[s.Q])
         speed += carrier_excursion(c, n, x.joint[s.DQ])
-    travel += lead + 0.5 * c.run[h.PERIOD] * speed
+    ahead = 0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.PERIOD] * speed
+    travel += lead + ahead
     x.servo[s.SERVO_POSITION, n] = travel / spool + c.tendon[h.MOTOR_ZERO, n]
     x.servo[s.SERVO_VELOCITY, n] = speed / spool
     x.servo[s.SERVO_KP, n] = kp
     x.servo[s.SERVO_KD, n] = servo_damping(x, c, n)
     x.servo[s.SERVO_TORQUE, n] = added * spool
+    if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
+        x.servo[s.SERVO_LIMIT, n] = min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.FORCE_MAX, n]) * spool
 
 
 @inner
@@ -187,6 +206,8 @@ def predict_reports(x: Tables, c: ConstantTables) -> None:
                 x.servo[s.SERVO_BEFORE + 1, n] - x.tendon[s.VELOCITY, n]
             )
         limit = c.tendon[h.FORCE_MAX, n]
+        if kp > 0.0 and c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
+            limit = x.servo[s.SERVO_BEFORE + 5, n] / c.tendon[h.SPOOL_RADIUS, n]
         known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(
             x.tendon[s.MEASURED_FORCE, n]
         )

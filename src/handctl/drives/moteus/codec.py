@@ -27,6 +27,15 @@ Command of a tick, 48 bytes:
     field   01 2B 00        0D 25   limit         0D 27   watchdog [s]   query
             integrator 0            float32 N m           float32
 
+Command of a tick in which the drive closes the position loop, 48 bytes:
+
+    byte    0..2            3, 4    5..16                          17, 18  19..30
+    field   mode: 01 00 0A  0F 20   position, velocity, torque     0F 23   kp scale, kd scale, limit
+            position mode           float32 turn, turn/s, N m              float32 1, 1, N m
+    byte    31..33          34, 35  36..39         40..47
+    field   01 2B 00        0D 27   watchdog [s]   query
+            integrator 0            float32
+
 Feedback, the reply to the query, 24 bytes:
 
     byte    0, 1, 2         3..6                         7, 8    9..20                           21..23
@@ -59,9 +68,18 @@ SOURCES = range(0x80)
 """Possible source numbers of hosts. handctl is source 0."""
 NOP = 0x50
 """Padding byte."""
+FLOAT32_STEP = 2.0**-23
+"""Relative resolution of a float32."""
+MAX_TURNS = 256.0
+"""Largest commanded position [turn].
+
+Up to this position a float32 has the resolution of the drive's position error, 1/65536 turn.
+"""
 
 # Registers: commands, then identity. Numbers beyond 0x7F take two bytes as a varuint.
 MODE = 0x000
+COMMANDED_POSITION = 0x020
+KP_SCALE = 0x023
 MOTOR_TEMPERATURE = 0x00A
 TEMPERATURE = 0x00E
 FAULT = 0x00F
@@ -225,6 +243,61 @@ def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1
     )
     base = padded_payload(base)
     return Message("command", request_id(node_id), len(base), signals, FLAGS, base, False, torque)
+
+
+class PositionGains(NamedTuple):
+    """Gains of the drive's own position loop: ``servo.pid_position``.
+
+    Attributes:
+        kp: stiffness [N m/turn].
+        kd: damping [N m s/turn].
+    """
+
+    kp: float
+    kd: float
+
+
+def position_message(
+    torque: Message, gains: PositionGains, timeout_s: float, top_speed: float, sign: int = 1, zero: float = 0.0
+) -> Message:
+    """Return the command with position, velocity, kp, kd, torque and limit, see ``signals.POSITION_COMMAND``.
+
+    The frame contains kp and kd as fractions of the drive's gains. Until the next command, the drive
+    moves the position with the velocity.
+
+    Args:
+        torque: torque command of the same drive.
+        gains: gains of the drive.
+        timeout_s: time of the watchdog [s].
+        top_speed: largest velocity command [rad/s].
+        sign: sign of position, velocity and torque, 1 if positive torque winds.
+        zero: motor angle of the spool's zero [rad].
+    """
+    base = (
+        write_bytes_subframe(MODE, POSITION)
+        + write_floats_subframe(COMMANDED_POSITION, 0.0, 0.0, 0.0)
+        + write_floats_subframe(KP_SCALE, 0.0, 0.0, 0.0)
+        + write_bytes_subframe(INTEGRATOR_SCALE, 0)
+        + write_floats_subframe(TIMEOUT, timeout_s)
+        + QUERY
+    )
+    turns = sign * math.tau
+    position = _float_signal("position", Quantity.POSITION, 5, turns, "rad")
+    velocity = _float_signal("velocity", Quantity.VELOCITY, 9, turns, "rad/s")
+    # A gain of 0 has a fraction of 0, whatever its scale.
+    kp = _float_signal("kp", Quantity.STIFFNESS, 19, gains.kp / math.tau or 1.0, "N m/rad")
+    kd = _float_signal("kd", Quantity.DAMPING, 23, gains.kd / math.tau or 1.0, "N m s/rad")
+    limit = _float_signal("limit", Quantity.LIMIT, 27, 1.0, "N m")
+    signals = (
+        position._replace(offset=-sign * zero, largest=MAX_TURNS),
+        velocity._replace(largest=top_speed / math.tau),
+        kp._replace(largest=1.0),
+        kd._replace(largest=1.0),
+        _float_signal("torque", Quantity.TORQUE, 13, float(sign), "N m"),
+        limit._replace(largest=torque.limit * (1.0 + FLOAT32_STEP)),
+        _float_signal("watchdog", Quantity.UNUSED, 36, 1.0, "s"),
+    )
+    return torque._replace(name="position_command", signals=signals, base=base)
 
 
 def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:

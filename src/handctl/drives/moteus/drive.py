@@ -1,10 +1,11 @@
 """State machine to configure, enable, and stop a moteus controller.
 
 A drive answers requests and sends no other frame. A torque command selects position mode with gains
-0 and a feedforward torque. The same frame contains the drive's torque limit, its watchdog time, and
-the request for feedback. Every torque command enables the drive. An enabled drive that reports
-another mode is therefore in fault, and gets the stop command. The stop command also clears a fault
-of the drive. This host keeps the fault until the operator clears it.
+0 and a feedforward torque. A position command also contains a position, a velocity, and fractions
+of the drive's gains. Both frames contain the drive's torque limit, its watchdog time, and the
+request for feedback. Every command enables the drive. An enabled drive that reports another mode is
+therefore in fault, and gets the stop command. The stop command also clears a fault of the drive.
+This host keeps the fault until the operator clears it.
 """
 
 import math
@@ -57,8 +58,12 @@ class MoteusDrive:
         direction: 1 if positive torque of the motor winds, else -1.
         zero: motor angle of the spool's zero [rad].
         timeout_s: time of the watchdog [s].
+        top_speed: largest velocity command [rad/s].
+        gains: gains of the drive's position loop, None for torque commands only.
         command: signal table of the command, from the fields above.
         feedback: signal table of the feedback, from the fields above.
+        configuration: configuration items that are also read while the drive is enabled, from the
+            fields above.
         required: settings required before arming, from the fields above.
     """
 
@@ -69,8 +74,11 @@ class MoteusDrive:
     direction: int
     zero: float
     timeout_s: float
+    top_speed: float
+    gains: codec.PositionGains | None
     command: Table = field(init=False, repr=False, compare=False)
     feedback: Table = field(init=False, repr=False, compare=False)
+    configuration: tuple[items.MoteusSetting, ...] = field(init=False, repr=False, compare=False)
     required: tuple[items.MoteusSetting, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -78,14 +86,17 @@ class MoteusDrive:
         command = codec.command_message(self.node_id, self.torque_limit, self.timeout_s, self.direction)
         object.__setattr__(self, "command", Table(command))
         object.__setattr__(self, "feedback", Table(codec.feedback_message(self.node_id, self.direction, self.zero)))
-        object.__setattr__(self, "required", items.required_settings(self.torque_limit, self.timeout_s))
+        configuration = items.CONFIGURATION if self.gains is None else items.position_configuration(self.gains)
+        required = items.required_settings(self.torque_limit, self.timeout_s, configuration)
+        object.__setattr__(self, "configuration", configuration)
+        object.__setattr__(self, "required", required)
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "MoteusDrive":
         """Return the drive of a motor description.
 
         Raises:
-            ConfigError: an option, or a node number beyond 0x7e.
+            ConfigError: an option, a node number beyond 0x7e, or a position loop without gains.
         """
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
@@ -98,6 +109,8 @@ class MoteusDrive:
             direction=motor.direction,
             zero=motor.zero_rad,
             timeout_s=motor.watchdog_ms * 1e-3,
+            top_speed=motor.velocity_range_rad_s,
+            gains=_position_gains(motor),
         )
 
     @property
@@ -151,7 +164,13 @@ class MoteusDrive:
     @property
     def cyclic(self) -> Cyclic:
         """Return the signal tables of command and feedback."""
-        return Cyclic((self.feedback.message,), (self.command.message,))
+        torque = self.command.message
+        position = None
+        if self.gains is not None:
+            position = codec.position_message(
+                torque, self.gains, self.timeout_s, self.top_speed, self.direction, self.zero
+            )
+        return Cyclic((self.feedback.message,), (torque,), position=position, moves_target=position is not None)
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status of feedback in position mode without a fault code, or UNSTEADY."""
@@ -211,7 +230,7 @@ class MoteusDrive:
         if state.phase == CONFIGURING and progress.cursor.waiting and progress.cursor.step < len(self.required):
             return self.required[progress.cursor.step]
         if state.phase == ENABLED and progress.check.waiting:
-            return items.CONFIGURATION[progress.check.step]
+            return self.configuration[progress.check.step]
         return None
 
     def _on_text(self, state: DriveState, progress: MoteusProgress, text: bytes) -> DriveState:
@@ -243,7 +262,7 @@ class MoteusDrive:
         expected = f"{setting.value:g}"
         if state.phase == ENABLED:
             check, problem = readback.on_recheck_reply(
-                progress.check, len(items.CONFIGURATION), same, setting.name, f"reads {shown}", expected
+                progress.check, len(self.configuration), same, setting.name, f"reads {shown}", expected
             )
             updated = state._replace(private=progress._replace(check=check))
             return to_fault(updated, MISMATCH, problem) if problem else updated
@@ -312,7 +331,7 @@ class MoteusDrive:
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the request that reads a setting of the enabled drive, or the next part of its answer, if due."""
-        setting = items.CONFIGURATION[progress.check.step]
+        setting = self.configuration[progress.check.step]
         channel = progress.channel
         data = b""
         problem = ""
@@ -428,6 +447,24 @@ class MoteusDrive:
     def _frame_to_drive(self, data: bytes) -> Frame:
         """Return a frame to the drive with the given payload."""
         return Frame(self.command.message.can_id, data, codec.FLAGS, self.bus)
+
+
+def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
+    """Return the gains that are written into the drive, None for a motor without a position loop.
+
+    A command contains kp and kd as fractions of these gains.
+
+    Raises:
+        ConfigError: a gain is missing in the hand file.
+    """
+    if not motor.holds_position:
+        return None
+    given = {"kp_N_m_per_rad": motor.kp_N_m_per_rad, "kd_N_m_s_per_rad": motor.kd_N_m_s_per_rad}
+    for key, value in given.items():
+        if value is None:
+            right = 'a number, because control = "position" writes this gain into a moteus'
+            raise ConfigError("missing", f"motor[{motor.name}].{key}", right)
+    return codec.PositionGains(*(items.gain_of_drive(value) for value in given.values() if value is not None))
 
 
 def _ready_state(state: DriveState, progress: MoteusProgress, t_ns: int, serial: int) -> DriveState:

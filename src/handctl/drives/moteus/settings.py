@@ -39,7 +39,8 @@ class MoteusSetting(NamedTuple):
 
     def is_right(self, value: float) -> bool:
         """Return True if a value equals the required one in float32 precision."""
-        return value == self.value or (math.isnan(value) and math.isnan(self.value))
+        same = rounded_to_float32(value) == rounded_to_float32(self.value)
+        return same or (math.isnan(value) and math.isnan(self.value))
 
 
 CONFIGURATION = (
@@ -61,17 +62,51 @@ default that is not the required value. At most two reads therefore detect a res
 """
 
 
-def required_settings(torque: float, timeout_s: float) -> tuple[MoteusSetting, ...]:
+def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, ...]:
+    """Return the configuration items of a drive that closes a position loop, read again while it is enabled.
+
+    With a limit of velocity or acceleration, the drive would plan a trajectory of its own to the
+    commanded position. With a finite slip, it would pull the position towards the motor. Every other
+    item has a default that differs, see ``CONFIGURATION``.
+    """
+    lowest, fixed_voltage, timeout_mode, highest = CONFIGURATION
+    return (
+        lowest,
+        fixed_voltage,
+        timeout_mode,
+        MoteusSetting("servo.default_velocity_limit", math.nan),
+        MoteusSetting("servo.pid_position.kp", gains.kp),
+        MoteusSetting("servo.max_position_slip", math.nan),
+        MoteusSetting("servo.pid_position.kd", gains.kd),
+        MoteusSetting("servo.default_accel_limit", math.nan),
+        highest,
+    )
+
+
+def gain_of_drive(gain: float) -> float:
+    """Return a gain per radian as one per turn, rounded up to six digits and to six decimals.
+
+    The texts to and from the drive contain these digits, and a float32 keeps them.
+    """
+    turn = math.tau * gain
+    step = 10.0 ** max(-6, math.floor(math.log10(turn)) - 5) if turn else 1.0
+    return float(f"{math.ceil(turn / step) * step:.6g}")
+
+
+def required_settings(
+    torque: float, timeout_s: float, configuration: tuple[MoteusSetting, ...]
+) -> tuple[MoteusSetting, ...]:
     """Return the settings required before arming.
 
     Args:
         torque: torque limit [N m].
         timeout_s: watchdog [s].
+        configuration: required configuration items.
     """
     return (
         MoteusSetting("torque limit", rounded_to_float32(torque), codec.MAX_TORQUE),
         MoteusSetting("watchdog", rounded_to_float32(timeout_s), codec.TIMEOUT),
-        *CONFIGURATION,
+        *configuration,
     )
 
 
@@ -87,7 +122,8 @@ def read_request(setting: MoteusSetting) -> bytes:
 
 def write_request(setting: MoteusSetting) -> bytes:
     """Return the text command that changes a configuration item in the working memory."""
-    return f"conf set {setting.name} {setting.value:g}\n".encode()
+    value = f"{setting.value:.6f}".rstrip("0").rstrip(".")
+    return f"conf set {setting.name} {value}\n".encode()
 
 
 def value_in_answer(line: bytes) -> float | None:
