@@ -88,10 +88,11 @@ def random_hand(tendons: int, random: Random) -> Hand:
     hand = hand_from_content(made, "random.toml")
     hand = with_drives(hand, str(random.choice(GUARDED)))
     servos = _motors_with_position_loop(hand, random)
+    loop: dict[str, object] = {"control": "position"}
+    if hand.motor[0].protocol == "moteus":
+        loop |= {"kp_N_m_per_rad": 1.0, "kd_N_m_s_per_rad": 0.02}
     motors = [
-        one.model_copy(
-            update={"node_id": FIRST_NODE + n % ON_A_BUS, "control": "position" if one.name in servos else None}
-        )
+        one.model_copy(update={"node_id": FIRST_NODE + n % ON_A_BUS} | (loop if one.name in servos else {}))
         for n, one in enumerate(hand.motor)
     ]
     return hand.model_copy(update={"motor": tuple(motors)})
@@ -102,7 +103,7 @@ def _motors_with_position_loop(hand: Hand, random: Random) -> set[str]:
 
     Only motors of digits without antagonists may do so.
     """
-    if hand.motor[0].protocol not in ("mit", "robstride"):
+    if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
     allowed = set[str]()
     for digit in hand.digit:

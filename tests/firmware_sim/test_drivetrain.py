@@ -19,7 +19,8 @@ from firmware_sim.world import World
 def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
-    Its tendons are slack at first and then taut. Some motors follow a torque, others a position.
+    Its tendons are slack at first and then taut. Motors follow a torque, a position, or a
+    moving position.
     """
     plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
     if not native:
@@ -28,6 +29,7 @@ def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
         motor.servo.limit, motor.servo.torque, motor.omega = 0.8, 0.05 + 0.02 * i, 3.0 * (-1) ** i
         if i % 2:
             motor.servo.kp, motor.servo.kd, motor.servo.position = 2.0, 0.05, 1.0 + 0.1 * i
+            motor.servo.target_speed = 2.0 if i % 4 == 1 else 0.0
     return plant
 
 

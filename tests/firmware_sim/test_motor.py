@@ -93,6 +93,41 @@ def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
     assert abs(motor.theta - before) < 0.02
 
 
+@pytest.mark.parametrize("speed", [4.0, -15.0])
+def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None:
+    """J e'' + kd e' + kp e = 0 for the error e of a rotor that starts at rest at a target of constant speed."""
+    kp, kd, step_s = 0.5, 0.004, 1e-5
+    motor = Motor(SMOOTH, step_s)
+    servo = motor.servo
+    servo.kp, servo.kd, servo.velocity, servo.target_speed, servo.limit = kp, kd, speed, speed, 100.0
+    decay = 0.5 * kd / SPEC.inertia
+    omega = math.sqrt(kp / SPEC.inertia - decay**2)
+    largest = 0.0
+    for k in range(1, 10001):
+        motor.advance(0.0)
+        # The current follows with its lag.
+        t = k * step_s - CURRENT_LAG_S
+        exact = speed / omega * math.exp(-decay * t) * math.sin(omega * t)
+        error = speed * k * step_s - motor.theta
+        assert servo.position == pytest.approx(speed * k * step_s, rel=1e-9)
+        if k > 500:
+            largest = max(largest, abs(error - exact))
+    assert largest < 0.05 * abs(speed) / omega + ENCODER_STEP
+    assert abs(speed) / omega > 10.0 * ENCODER_STEP
+
+
+def test_a_fixed_target_does_not_move() -> None:
+    motor = Motor(SMOOTH, STEP)
+    servo = motor.servo
+    servo.kp, servo.kd, servo.position, servo.velocity, servo.limit = 0.5, 0.004, 0.3, 5.0, 1.0
+    spin(motor, 0.1)
+    assert servo.position == 0.3
+    servo.target_speed = 5.0
+    servo.release()
+    spin(motor, 0.1)
+    assert servo.position == 0.0
+
+
 def test_a_released_servo_makes_no_torque() -> None:
     motor = Motor(SPEC, STEP)
     servo = motor.servo

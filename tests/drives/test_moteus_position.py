@@ -1,0 +1,212 @@
+"""A moteus that closes a position loop: its command, its settings, and their loss."""
+
+import math
+import os
+import struct
+
+import numpy as np
+import pytest
+
+from firmware_sim.nodes.moteus.node import MoteusNode
+from firmware_sim.nodes.moteus.text import FACTORY_CONFIGURATION
+from handctl.campaign.scenarios import FREE
+from handctl.campaign.stage import advance_to, homed_run
+from handctl.core import block as s
+from handctl.core import wire
+from handctl.core.types import Mode
+from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.moteus import codec
+from handctl.drives.moteus.drive import MoteusDrive
+from handctl.drives.moteus.settings import (
+    MoteusSetting,
+    gain_of_drive,
+    position_configuration,
+    rounded_to_float32,
+    write_request,
+)
+from handctl.drives.records import WORDS, Frames
+from handctl.drives.signals import Quantity, Table
+from handctl.runtime.diagnostics.drive_rig import DriveRig
+from tests.controller.test_position_loop import loop_hand, moteus_command, moving
+from tests.drives.protocol_bench import motor_on_bench
+from tests.drives.test_guards import hold
+from tests.drives.virtual_bench import NODE, VirtualBench
+
+SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else range(3)
+KP, KD = 2.5, 0.0351
+GAINS = {"servo.pid_position.kp": 15.708, "servo.pid_position.kd": 0.220540}
+NAN_ITEMS = ("servo.default_velocity_limit", "servo.default_accel_limit", "servo.max_position_slip")
+
+
+def drive_with_loop(**changes: object) -> MoteusDrive:
+    """Return a drive that closes the position loop."""
+    given = {"control": "position", "kp_N_m_per_rad": KP, "kd_N_m_s_per_rad": KD} | changes
+    return MoteusDrive.of(motor_on_bench("moteus", NODE, 0.5, {}, **given), 0)
+
+
+def armed_rig(place: VirtualBench) -> DriveRig:
+    return DriveRig(drive_with_loop(), place, place)
+
+
+def node_of(place: VirtualBench) -> MoteusNode:
+    (node,) = place.bench.nodes
+    assert isinstance(node, MoteusNode)
+    return node
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
+    drive = drive_with_loop(direction=direction, zero_rad=0.3, watchdog_ms=50)
+    message = drive.cyclic.position
+    assert message is not None
+    assert drive.cyclic.moves_target
+    table = Table(message._replace(limit=math.inf))
+    can_id, data = table.pack_frame(1.7, -4.0, 0.25 * GAINS_PER_RAD[0], 0.5 * GAINS_PER_RAD[1], 0.2, 0.4)
+    position, velocity, torque, kp, kd, limit = moteus_command(data)
+    assert position == pytest.approx(0.3 + direction * 1.7, rel=1e-6)
+    assert velocity == pytest.approx(direction * -4.0, rel=1e-6)
+    assert torque == pytest.approx(direction * 0.2)
+    assert (kp, kd) == (0.25, 0.5)
+    assert limit == pytest.approx(0.4)
+    assert struct.unpack_from("<f", data, 36)[0] == pytest.approx(0.05)
+    assert data[40:] == codec.QUERY
+    assert can_id == drive.command.message.can_id
+    assert len(data) == drive.command.message.length, "the load of the bus is that of torque commands"
+
+
+GAINS_PER_RAD = tuple(gain / math.tau for gain in GAINS.values())
+
+
+def test_a_motor_with_torque_commands_has_no_position_command_and_the_settings_of_before() -> None:
+    drive = MoteusDrive.of(motor_on_bench("moteus", NODE, 0.5, {}), 0)
+    assert drive.cyclic.position is None
+    assert not drive.cyclic.moves_target
+    assert [setting.name for setting in drive.configuration] == [
+        "servopos.position_min", "servo.fixed_voltage_mode", "servo.timeout_mode", "servopos.position_max",
+    ]  # fmt: skip
+
+
+def test_the_settings_are_written_and_read_back_before_arming_and_not_stored() -> None:
+    place = VirtualBench("moteus")
+    rig = armed_rig(place)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    channel = node_of(place).channel
+    for name, value in GAINS.items():
+        assert channel.items[name] == pytest.approx(value, abs=1e-6)
+    assert all(math.isnan(channel.items[name]) for name in NAN_ITEMS)
+    assert all(channel.saved[name] == FACTORY_CONFIGURATION[name] for name in GAINS)
+    assert channel.saved["servo.default_accel_limit"] == 50.0
+    assert place.top == 0.0
+
+
+@pytest.mark.parametrize("item", [*GAINS, *NAN_ITEMS])
+def test_a_setting_that_does_not_read_back_keeps_the_drive_off(item: str) -> None:
+    place = VirtualBench("moteus")
+    items = node_of(place).channel.items
+    items[item] = 3.0
+    hold(place, item)
+    rig = armed_rig(place)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.FAULT, 3.0)
+    assert f"{item} reads 3 after writing, expected" in rig.state.error_text
+
+
+def test_a_firmware_without_an_item_is_refused_by_name() -> None:
+    place = VirtualBench("moteus")
+    del node_of(place).channel.items["servo.default_accel_limit"]
+    rig = armed_rig(place)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.FAULT, 3.0)
+    assert "servo.default_accel_limit reads ERR error reading, expected nan" in rig.state.error_text
+
+
+@pytest.mark.parametrize("item", [*GAINS, *NAN_ITEMS])
+def test_a_setting_that_is_lost_while_enabled_is_found(item: str) -> None:
+    place = VirtualBench("moteus")
+    rig = armed_rig(place)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    node_of(place).channel.items[item] = 7.0
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.FAULT, 6.0)
+    assert f"{item} reads 7" in rig.state.error_text
+
+
+def test_a_restart_is_found_by_two_reads() -> None:
+    """At least one of two consecutive items has another value after a restart."""
+    items = position_configuration(codec.PositionGains(*GAINS.values()))
+    for one, two in zip(items, items[1:] + items[:1], strict=True):
+        assert not all(setting.is_right(FACTORY_CONFIGURATION[setting.name]) for setting in (one, two))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_gains_survive_the_text_of_the_drive_and_are_never_rounded_down(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    for gain in (0.0, 0.001, 5000.0, *10.0 ** draw.uniform(-4.0, 3.69, 2000)):
+        value = gain_of_drive(float(gain))
+        assert math.tau * gain <= value <= math.tau * gain + max(1.01e-6, 1.1e-5 * value)
+        setting = MoteusSetting("servo.pid_position.kp", value)
+        text = write_request(setting).decode().split()[-1]
+        assert "e" not in text
+        assert setting.is_right(float(f"{rounded_to_float32(float(text)):f}"))
+
+
+BAD = [
+    (s.SERVO_POSITION, 256.1 * math.tau), (s.SERVO_VELOCITY, 51.0), (s.SERVO_KP, 2.6), (s.SERVO_KD, 1.0),
+    (s.SERVO_TORQUE, 0.81), (s.SERVO_LIMIT, 0.81), (s.SERVO_LIMIT, -0.01), (s.SERVO_KD, -0.01),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("row", "value"), [*BAD, *((row, bad) for row, _ in BAD[:6] for bad in (math.nan, math.inf))])
+def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, value: float) -> None:
+    with moving(loop_hand(protocol="moteus")) as run:
+        for _ in range(10):
+            run.tick()
+        assert run.state.view("servo_kp").all()
+        layout, tables = run.state.layout, run.controller.wire
+        torque = run.state.tendon[s.TORQUE].copy()
+        if row == s.SERVO_KP and math.isnan(value):
+            value = math.inf  # A kp of NaN is not above 0: a torque command in any case.
+        block = run.state.block.copy()
+        assert len(sent_frames(block, layout, tables, torque)) == 4
+        good = sent_frames(block, layout, tables, torque)[1]
+        layout.table(block, "servo")[row, 1] = value
+        frames = sent_frames(block, layout, tables, torque)
+        drive = run.controller.drives[1]
+        assert isinstance(drive, MoteusDrive)
+        assert good[17:19] == b"\x0f\x23"
+        assert frames[1] == drive.command.pack(torque[1])
+        assert layout.table(block, "servo")[s.SERVO_KP, 1] == 0.0
+        assert moteus_command(frames[0])[3] > 0.0
+
+
+def sent_frames(block, layout, tables, torque) -> list[bytes]:
+    """Return the payloads of the commands of a block."""
+    out = np.zeros((len(tables.templates), WORDS), np.uint64)
+    first, count = wire.encode_commands(
+        block, layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals, tables.templates, torque,
+        tables.servos, tables.servo_templates, tables.servo_wholes, tables.servo_reals, 0, 0,
+    )  # fmt: skip
+    assert first == len(torque)
+    return [frame.data for frame in Frames.of_rows(out[:count])]
+
+
+def test_every_signal_has_its_range() -> None:
+    message = drive_with_loop().cyclic.position
+    assert message is not None
+    ends = {signal.quantity: signal.ends for signal in message.signals}
+    assert ends[Quantity.STIFFNESS] == (0.0, GAINS_PER_RAD[0])
+    assert ends[Quantity.DAMPING] == pytest.approx((0.0, GAINS_PER_RAD[1]))
+    assert ends[Quantity.VELOCITY] == pytest.approx((-30.0, 30.0))
+    assert ends[Quantity.POSITION] == pytest.approx((-256.0 * math.tau, 256.0 * math.tau))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
+    """The lost gains change the torque at once, and the read-back finds the lost items."""
+    hand = loop_hand(protocol="moteus")
+    with homed_run(hand, 500.0, seed) as course:
+        advance_to(course, FREE)
+        motor = hand.motor[seed % 4].name
+        course.peer.inject(f"forget node={motor}")
+        assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), 1.2)
+        found = {(mark.id, mark.instance) for mark in course.state.latched}
+        assert found
+        assert found <= {("N12", motor), ("N14", motor), ("N17", motor)}
+        assert max(course.peer.truth()["tension"]) < 60.0
