@@ -1,9 +1,13 @@
-"""Test drives that close the position loop of a digit themselves: their commands, tracking, tensions and faults."""
+"""Test drives that close the position loop of a digit themselves: their commands, tracking, tensions and faults.
+
+``python -m tests.controller.test_position_loop moteus 10`` prints the tracking errors of ten seeds.
+"""
 
 import json
 import math
 import os
 import struct
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -430,3 +434,23 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
     ]
     assert [layout.axes["servo"] for layout in layouts] == [0, 4]
     assert layouts[1].size - layouts[0].size == 4 * s.STATE.rows("servo")
+
+
+def print_tracking(protocol: str, seeds: int) -> None:
+    """Print the mean tracking error of each hand in each mode, its range over the seeds, and the largest tension."""
+    for name in TRACKING:
+        hands = {
+            "torque commands": hand_with_protocol(name, protocol),
+            "kp and kd of the gains": loop_hand(name, protocol, None),
+            f"kp = {STIFF} N m/rad": loop_hand(name, protocol),
+        }
+        for mode, hand in hands.items():
+            runs = [mean_errors(hand, seed) for seed in range(seeds)]
+            errors = [error.mean() for error, _ in runs]
+            mean, low, high = np.mean(errors), min(errors), max(errors)
+            peak = max(peak for _, peak in runs)
+            print(f"{name:8}{mode:24}{mean:8.3f} deg ({low:.3f} to {high:.3f}){peak:7.1f} N", flush=True)
+
+
+if __name__ == "__main__":
+    print_tracking(sys.argv[1], int(sys.argv[2]))

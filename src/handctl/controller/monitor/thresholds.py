@@ -110,7 +110,8 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
     These are one count of kp [N m/rad] and of kd [N m s/rad], the force that one count of feedback
     causes [N], stiffness and damping within the ranges of the frames, and 1 for each drive that
     moves its target. A drive whose commands have no kp and kd gets a count of 1. Feedback is the
-    position and the speed that the drive reports, in counts of its protocol.
+    position and the speed that the drive reports, in counts of its protocol, or of the encoder if
+    these are coarser.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
@@ -128,7 +129,10 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
                 of_hand[n] = min(of_hand[n], signal.ends[1] * gain[n])
         for signal in (signal for message in drive.cyclic.feedback for signal in message.signals):
             if signal.quantity in inputs:
-                torque[n] += signal.step * loop[inputs[signal.quantity]][n]
+                # A float has finer steps than the encoder whose position it contains.
+                encoder = model.space.encoder_step[n] / model.space.spool[n]
+                step = max(signal.step, encoder) if signal.quantity == Quantity.POSITION else signal.step
+                torque[n] += step * loop[inputs[signal.quantity]][n]
     return {
         "servo_stiffness": loop["servo_stiffness"],
         "servo_damping": loop["servo_damping"],
