@@ -390,16 +390,17 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: 
     model = HandModel.of(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
     controller = make_controller(hand, packaged_gains("jamia"), rate_hz, to_and_fro(hand, 1, 1.0), None, True)
     drives = make_drives(hand)
-    steps = servo_steps(model, drives)
+    steps, loop = servo_steps(model, drives), servo_constants(model)
     wire = Wire(drives, controller.sensors, [True] * 4, model.torque_gain)
     for n in range(4):
         rows = wire.servo_reals[wire.servos[n, 0] : wire.servos[n, 1]]
-        for name, row in (("stiffness", 2), ("damping", 3)):
-            value, step = steps[f"servo_{name}"][n], steps[f"servo_k{'pd'[row - 2]}_step"][n]
+        for name, key, row in (("stiffness", "kp", 2), ("damping", "kd", 3)):
+            value = min(loop[f"servo_{name}"][n], steps[f"servo_{key}_max"][n])
+            step = steps[f"servo_{key}_step"][n]
             rounded = step * math.floor(value / step + 0.5)
             assert 0.0 < rounded <= rows[row, 3], "the law's rounded gain can be encoded"
             assert np.float32(rounded / rows[row, 0]) <= 1.0
-    assert (steps["servo_stiffness"][0] == pytest.approx(STIFF)) == (gain > 1.0 and rate_hz > 100.0)
+            assert (value < loop[f"servo_{name}"][n]) == (gain < 1.0 and (name == "damping" or rate_hz > 100.0))
 
 
 def test_position_loops_of_antagonists_are_refused() -> None:

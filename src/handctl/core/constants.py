@@ -5,6 +5,7 @@
 block of constants.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -88,6 +89,10 @@ SERVO_KP_STEP = _real("servo_kp_step", "tendon", "N m/rad",
     "resolution of kp in the command", initial=1.0)  # fmt: skip
 SERVO_KD_STEP = _real("servo_kd_step", "tendon", "N m s/rad",
     "resolution of kd in the command", initial=1.0)  # fmt: skip
+SERVO_KP_MAX = _real("servo_kp_max", "tendon", "N m/rad",
+    "largest kp in the command", initial=math.inf)  # fmt: skip
+SERVO_KD_MAX = _real("servo_kd_max", "tendon", "N m s/rad",
+    "largest kd in the command", initial=math.inf)  # fmt: skip
 SERVO_ROUNDING = _real("servo_rounding", "tendon", "N",
     "force of the drive's position loop for one count of position and speed")  # fmt: skip
 HAS_UNIQUE_TENSIONS = _whole("exact", "tendon", "",

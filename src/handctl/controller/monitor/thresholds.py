@@ -107,26 +107,24 @@ def compiled_constants(
 def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
     """Return the constants of the drives' position loops that depend on their frames.
 
-    These are one count of kp [N m/rad] and of kd [N m s/rad], the force that one count of feedback
-    causes [N], stiffness and damping within the ranges of the frames, and 1 for each drive that
-    moves its target. A drive whose commands have no kp and kd gets a count of 1. Feedback is the
-    position and the speed that the drive reports, in counts of its protocol, or of the encoder if
-    these are coarser.
+    These are one count and the largest value of kp [N m/rad] and of kd [N m s/rad], the force that
+    one count of feedback causes [N], and 1 for each drive that moves its target. A drive whose
+    commands have no kp and kd gets a count of 1. Feedback is the position and the speed that the
+    drive reports, in counts of its protocol, or of the encoder if these are coarser.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
     steps = np.ones((2, len(drives)))
+    largest = np.full((2, len(drives)), np.inf)
     torque = np.zeros(len(drives))
     inputs = {Quantity.POSITION: "servo_stiffness", Quantity.VELOCITY: "servo_damping"}
-    factors = {Quantity.STIFFNESS: "servo_stiffness", Quantity.DAMPING: "servo_damping"}
     for n, drive in enumerate(drives):
         if drive.cyclic.position is None:
             continue
         for signal in drive.cyclic.position.signals:
-            if signal.quantity in factors:
+            if signal.quantity in (Quantity.STIFFNESS, Quantity.DAMPING):
                 steps[signal.quantity - Quantity.STIFFNESS, n] = signal.step * gain[n]
-                of_hand = loop[factors[signal.quantity]]
-                of_hand[n] = min(of_hand[n], signal.ends[1] * gain[n])
+                largest[signal.quantity - Quantity.STIFFNESS, n] = signal.ends[1] * gain[n]
         for signal in (signal for message in drive.cyclic.feedback for signal in message.signals):
             if signal.quantity in inputs:
                 # A float has finer steps than the encoder whose position it contains.
@@ -134,8 +132,8 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
                 step = max(signal.step, encoder) if signal.quantity == Quantity.POSITION else signal.step
                 torque[n] += step * loop[inputs[signal.quantity]][n]
     return {
-        "servo_stiffness": loop["servo_stiffness"],
-        "servo_damping": loop["servo_damping"],
+        "servo_kp_max": largest[0],
+        "servo_kd_max": largest[1],
         "servo_moves": [drive.cyclic.moves_target for drive in drives],
         "servo_kp_step": steps[0],
         "servo_kd_step": steps[1],

@@ -103,16 +103,15 @@ def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the stiffness kp of a drive's loop for the present goal, rounded to the command's resolution [N m/rad]."""
     step = c.tendon[h.SERVO_KP_STEP, n]
     wanted = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
-    return step * math.floor(wanted / step + 0.5)
+    return step * math.floor(min(wanted, c.tendon[h.SERVO_KP_MAX, n]) / step + 0.5)
 
 
 @inner
 def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the damping kd of a drive's loop for the present goal, rounded to the command's resolution [N m s/rad]."""
     step = c.tendon[h.SERVO_KD_STEP, n]
-    return step * math.floor(
-        x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n] / step + 0.5
-    )
+    wanted = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]
+    return step * math.floor(min(wanted, c.tendon[h.SERVO_KD_MAX, n]) / step + 0.5)
 
 
 @inner
