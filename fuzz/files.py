@@ -129,7 +129,7 @@ def task(folder: Path) -> Target:
 
 
 def trajectory(folder: Path) -> Target:
-    """Return the target for a trajectory that must fit a hand."""
+    """Return the fuzz target that reads a trajectory file and checks it against a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {"schema": 1, "name": "t", "time_s": [0.3 * i for i in range(8)], "angle_deg": {"index": angles}}

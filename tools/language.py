@@ -59,7 +59,7 @@ class Tally:
 
     Attributes:
         counts: number of findings for each key of ``PER``.
-        totals: total of each quantity by which counts are divided.
+        totals: total of each unit in ``PER``, such as words. A ratio is a count divided by its total.
         places: ``file:line: finding`` of each count.
     """
 

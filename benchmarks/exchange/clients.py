@@ -17,7 +17,10 @@ from exchange.ways import feedback
 
 
 class Damiao:
-    """Client damiao-motor, without its polling thread. The method `receive` polls instead of this thread."""
+    """Client damiao-motor, without its polling thread.
+
+    The method `receive` polls the bus, and this thread does not run.
+    """
 
     answer = staticmethod(feedback)
 

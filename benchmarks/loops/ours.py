@@ -107,7 +107,10 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
 
 
 class TimedTick:
-    """Tick of the controller that measures the wall time of its three steps [ns]."""
+    """Tick of the controller.
+
+    It measures the wall time of its three steps: begin, command and conclude [ns].
+    """
 
     def __init__(self, controller, state, entry, took) -> None:
         began = _now()

@@ -175,7 +175,7 @@ def test_a_mistake_common_to_several_sections_is_one_line(place: Path, capsys: p
         ("m1.node_id = 10,", "m1 = { node_id = 10, direction = 0 },"),
     )
     line = error_lines(capsys)[0]
-    assert line.startswith("digit[thumb].link_length_m: missing; expected a value: Distance from a link's joint")
+    assert line.startswith("digit[thumb].link_length_m: missing; expected a value: Distance from the joint of a link")
 
 
 def test_the_message_about_an_empty_file_names_config_init(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -192,7 +192,8 @@ def test_a_missing_section_is_named_with_its_forms(place: Path, capsys: pytest.C
     assert found["tendon"].startswith("tendon: missing; expected [[tendon]] sections, or tendon.NAME in each digit: ")
     assert found["mount"].startswith("mount: missing; expected a section [mount]: ")
     assert "sensor_node" not in found, "a sensor node is optional"
-    assert found["digit[left].link_radius_m"].endswith("expected a value: Radius of the links, as a capsule")
+    expected = "expected a value: Radius of the links, whose shapes are capsules"
+    assert found["digit[left].link_radius_m"].endswith(expected)
 
 
 def test_an_object_inside_the_hand_comes_with_the_others(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

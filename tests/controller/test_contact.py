@@ -41,7 +41,10 @@ def program(*phases: dict[str, Any]) -> TaskProgram:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
-    """The contact may also be detected below 1 N. A benchmark covers more speeds and places."""
+    """The contact may also be detected below 1 N.
+
+    A benchmark covers more closing speeds and more places of the object than this test.
+    """
     closing = {"kind": "close", "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0}, "speed_deg_s": 60.0}
     task = program({"kind": "move", "angle_deg": OPEN, "duration_s": 0.3}, closing, {"kind": "hold", "tension_N": 15.0})
     run = run_on_plant(hand, task, WALL, tmp_path, 2.6)

@@ -127,7 +127,7 @@ def test_a_tick_with_another_result_is_found(arming):
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_random_sequences_violate_no_rule(hand, protocol):
-    """Each hand with each drive protocol runs a third of a thousand random sequences."""
+    """Each hand runs 334 random sequences of faults with each drive protocol."""
     described = hand_with_protocol(hand, protocol)
     results = run_sequences(described, protocol, default_rate(described), range(334), jobs=2, **NOBODY)
     assert [(one.scenario, one.problem) for one in results if not one.ok] == []

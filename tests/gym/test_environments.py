@@ -139,7 +139,7 @@ def test_a_fault_ends_an_episode() -> None:
 
 
 def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
-    """The random targets of 20 seeds are limited.
+    """The environment limits the random targets of all 20 seeds.
 
     No fault ends an episode, and the tensions stay within their limits.
     """

@@ -85,8 +85,8 @@ def campaign_scenarios(
 ) -> list[Scenario]:
     """Return the scenarios that a campaign runs: all, every seventh, or those of some rows of the fault matrix.
 
-    In a quick campaign, the seed determines the first scenario of the sample. So the next seed
-    selects other scenarios.
+    A quick campaign runs a sample of the scenarios. The seed determines the first scenario of this
+    sample. So the next seed selects other scenarios.
     """
     period_ms = 1e3 / rate_hz
     selected = scenarios(hand, protocol, period_ms)

@@ -76,7 +76,7 @@ def tension_after_period(
 
     Args:
         now: present tension [N].
-        load: tension that the digit requires without friction a period from now [N].
+        load: tension that the digit will need one period from now, if it had no friction [N].
         efficiency: tension at the joints as a fraction of the tension at the load cell, while the
             tendon is wound.
         wound: length that the spool winds in the period [m].

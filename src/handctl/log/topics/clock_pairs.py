@@ -72,7 +72,7 @@ class ClockTopic:
 
 
 def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
-    """Decode a message with a pair of clock readings.
+    """Decode a message that contains a pair of clock readings.
 
     Raises:
         struct.error: the message is too short.

@@ -1,9 +1,9 @@
 """Virtual time for lockstep: the control loop advances the simulator tick by tick, and never sleeps.
 
 The simulator is called the peer. It is an object with the method ``step(t_ns, frames) -> frames``.
-The peer is loaded by name, because handctl never imports a simulator. If the peer has the method
-``exchange(t_ns, records) -> records``, the loop calls it instead of ``step``. This avoids an object
-for each frame.
+The simulated hand is loaded by its name, because handctl never imports a simulator. If the peer has
+the method ``exchange(t_ns, records) -> records``, the loop calls it instead of ``step``. This
+avoids an object for each frame.
 """
 
 import importlib
